@@ -1,0 +1,66 @@
+# nnss: everything runs in .venv, made here from constraints.txt.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Where the CPU build of torch comes from when the package index has none.
+# For CUDA: make install TORCH_INDEX=https://download.pytorch.org/whl/cu130
+TORCH := 2.13.0
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+
+SEEDS ?= 10
+OUT ?= results
+ARGS ?=
+NNSS := $(BIN)/nnss
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-slow lint format reproduce clean
+
+help: ## Show this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@echo "Variables: SEEDS=$(SEEDS) OUT=$(OUT) ARGS='--jobs 1' PYTHON=$(PYTHON)"
+
+install: $(VENV)/.installed ## Make .venv with nnss and its tools (CPU build of torch)
+
+# A CPU build from the index at hand, else from PyTorch's own index: PyPI's Linux wheel brings several GB of CUDA.
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; v >= (3, 11) or sys.exit(f"nnss needs Python 3.11 or newer, found {v[0]}.{v[1]}: make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	@echo "installing torch $(TORCH)"
+	@$(PIP) torch==$(TORCH)+cpu 2>/dev/null || $(PIP) --index-url $(TORCH_INDEX) torch==$(TORCH) || $(PIP) torch==$(TORCH)
+	@echo "installing nnss"
+	@$(PIP) --editable '.[test,lint]'
+	@touch $@
+
+demo: install ## A small comparison on the embedded plant: no download, about two minutes
+	$(NNSS) compare twotank-sim --orders 2 3 --seeds 3 --epochs 60 --out $(OUT)/demo $(ARGS)
+	@echo "box plot: $(OUT)/demo/twotank-sim/paper/boxplot.png"
+
+test: install ## Run the tests (slow ones are left out)
+	$(BIN)/python -m pytest -q -n 2 $(ARGS)
+
+test-slow: install ## Run the slow tests too
+	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
+
+# mypy does not follow the mapping of datasets/ and baselines/ into the package in an editable
+# install, so it reads an installed copy.
+lint: install ## ruff and mypy
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	@rm -rf build
+	@$(PIP) --no-deps --no-build-isolation --target build/lint .
+	cd build/lint && ../../$(BIN)/mypy --config-file ../../pyproject.toml -p nnss_cli
+
+format: install ## Let ruff mend what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+reproduce: install ## The three benchmarks at the paper's orders: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
+	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --out $(OUT) $(ARGS)
+	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --out $(OUT) $(ARGS)
+	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --out $(OUT) $(ARGS)
+	$(NNSS) report --out $(OUT)
+
+clean: ## Remove .venv and build products; results/ stays
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

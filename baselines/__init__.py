@@ -1,0 +1,1 @@
+"""Linear identification in NumPy and SciPy."""

@@ -1,0 +1,62 @@
+"""A linear model in physical units: a state-space system with its scaling."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
+
+from nnss_cli.modelfile import Tensors, write_model
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """A system identified in normalised units, used in physical ones."""
+
+    system: LinearStateSpace
+    """x(k+1) = A x + B ũ, ỹ = C x + D ũ in normalised units."""
+    scaling: Scaling
+    """Between physical and normalised units."""
+    channels: Channels
+    """Names and units."""
+
+    KIND = "linear"
+
+    @classmethod
+    def of(cls, system: LinearStateSpace, data: FittingData) -> LinearModel:
+        """Attach the scaling and names of the data that the system was fitted to."""
+        return cls(system, data.scaling, data.channels)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time [s]."""
+        return self.system.Ts
+
+    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
+        """Free simulation from x0 = C⁺(ỹ0 − D ũ0), as the paper scores linear models.
+
+        Args:
+            u: inputs (K, r), physical units.
+            y0: first output sample (m,), physical units.
+        """
+        u_scaled = self.scaling.normalise_u(u)
+        x0 = self.system.state_from_output(self.scaling.normalise_y(y0), u_scaled[0])
+        y, x = self.system.simulate(u_scaled, x0)
+        return Simulation(self.scaling.restore_y(y), x)
+
+    def save(self, folder: Path) -> None:
+        """Write model.json and model.safetensors into `folder`."""
+        tensors = {name: getattr(self.system, name) for name in ("A", "B", "C", "D")}
+        description = {"kind": self.KIND, "Ts": self.Ts, "channels": asdict(self.channels)}
+        write_model(folder, description, tensors | asdict(self.scaling))
+
+    @classmethod
+    def from_file(cls, description: dict[str, Any], tensors: Tensors) -> LinearModel:
+        """The inverse of `save`."""
+        system = LinearStateSpace(tensors["A"], tensors["B"], tensors["C"], tensors["D"], description["Ts"])
+        scaling = Scaling(*(tensors[name] for name in ("u_mean", "u_std", "y_mean", "y_std")))
+        channels = Channels(**{name: tuple(names) for name, names in description["channels"].items()})
+        return cls(system, scaling, channels)

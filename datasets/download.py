@@ -1,0 +1,167 @@
+"""Retrieval of data files into a cache: several sources in turn, checked, atomic.
+
+A file enters the cache only after its benchmark has read it and found the expected contents,
+so whatever is in the cache under its name was whole when it came. Its hash is kept beside it
+and compared at every use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from nnss_cli.datasets.benchmark import Benchmark, Source, read_bytes
+
+from nnss_cli.errors import DataUnavailable, InputError
+from nnss_cli.files import write_bytes, write_text
+
+TIMEOUT = 30  # seconds without an answer before the next source is tried
+
+
+def cache_folder() -> Path:
+    """NNSS_DATA_DIR, or the platform's cache folder for nnss."""
+    chosen = os.environ.get("NNSS_DATA_DIR")
+    if chosen:
+        return Path(chosen).expanduser()
+    import pooch
+
+    return Path(pooch.os_cache("nnss"))
+
+
+def is_cached(benchmark: Benchmark) -> bool:
+    """Whether the file is in the cache (its contents are checked when it is read)."""
+    return (cache_folder() / benchmark.cached_as).is_file()
+
+
+def cached_file(benchmark: Benchmark) -> Path:
+    """The path of the fetched file, its hash compared with the one kept when it came.
+
+    Raises:
+        DataUnavailable: it has not been fetched.
+        InputError: it has changed since.
+    """
+    path = cache_folder() / benchmark.cached_as
+    if not path.is_file():
+        raise DataUnavailable(
+            f"dataset '{benchmark.name}' is not in {cache_folder()}: run 'nnss fetch {benchmark.name}', "
+            f"or 'nnss fetch {benchmark.name} --from FILE' with a file that you have"
+        )
+    kept = _hash_file(path)
+    if kept.is_file() and kept.read_text().strip() != _sha256(read_bytes(path)):
+        raise InputError(f"'{path}' has changed since it was fetched: run 'nnss fetch {benchmark.name} --force'")
+    return path
+
+
+def fetch(
+    benchmark: Benchmark,
+    *,
+    mirror: str | None = None,
+    offline: bool = False,
+    force: bool = False,
+    progress: Callable[[str], object] | None = None,
+) -> Path:
+    """Bring a benchmark's file into the cache and return its path.
+
+    Args:
+        benchmark: which file.
+        mirror: a folder or base address that holds the files under their original names; it is
+            tried before the original sources. NNSS_MIRROR is used where this is None.
+        offline: touch no network: only the cache and a mirror folder.
+        force: fetch again even if it is cached; the old file stays until a good new one is there.
+        progress: given a source's name, returns pooch's progress bar object (or None).
+
+    Raises:
+        DataUnavailable: no source gave the expected file; each one's failure is named.
+    """
+    if is_cached(benchmark) and not force:
+        path = cached_file(benchmark)
+        benchmark.load(path, "paper")
+        return path
+    failures = []
+    for source in _places(benchmark, mirror or os.environ.get("NNSS_MIRROR")):
+        if offline and "://" in source.url:
+            continue
+        try:
+            with tempfile.TemporaryDirectory(prefix="nnss-") as folder:
+                return install(benchmark, _retrieve(source, Path(folder), progress))
+        except (OSError, ValueError, EOFError) as error:  # requests' errors are OSErrors
+            failures.append(f"{_host(source)}: {_one_line(error)}")
+    if offline:
+        failures.append("--offline keeps the network out")
+    raise DataUnavailable(
+        f"dataset '{benchmark.name}' could not be fetched ({'; '.join(failures)}). "
+        f"Give a copy with 'nnss fetch {benchmark.name} --from FILE' or a folder of files with --mirror DIR"
+    )
+
+
+def install(benchmark: Benchmark, file: Path) -> Path:
+    """Put a file that is already here into the cache, once its contents have been checked.
+
+    Raises:
+        InputError: the file is not the benchmark's.
+    """
+    if not benchmark.sources:
+        raise InputError(f"dataset '{benchmark.name}' is simulated: it needs no file")
+    content = read_bytes(file)
+    benchmark.load(file, "paper")
+    target = cache_folder() / benchmark.cached_as
+    try:
+        # The hash goes first: a crash in between leaves a mismatch that is reported, not a silent one.
+        write_text(_hash_file(target), _sha256(content) + "\n")
+        write_bytes(target, content)
+    except OSError as error:
+        raise InputError(
+            f"cannot write to the cache '{target.parent}': {error.strerror or error}; "
+            "set NNSS_DATA_DIR to a folder that can be written"
+        ) from error
+    return target
+
+
+def _places(benchmark: Benchmark, mirror: str | None) -> list[Source]:
+    original = list(benchmark.sources)
+    if not mirror:
+        return original
+    names = [source.filename for source in original] + [benchmark.cached_as]
+    base = mirror.rstrip("/") if "://" in mirror else str(Path(mirror).expanduser().resolve())
+    return [Source(f"{base}/{name}") for name in dict.fromkeys(names)] + original
+
+
+def _retrieve(source: Source, folder: Path, progress: Callable[[str], object] | None) -> Path:
+    if "://" not in source.url:
+        return Path(source.url)
+    import logging
+
+    import pooch
+
+    pooch.get_logger().setLevel(logging.ERROR)
+    bar = progress(source.filename) if progress else None
+    downloader = pooch.core.choose_downloader(source.url, progressbar=bar or False)
+    if hasattr(downloader, "kwargs"):
+        downloader.kwargs["timeout"] = TIMEOUT
+    else:
+        downloader.timeout = TIMEOUT
+    known = f"sha256:{source.sha256}" if source.sha256 else None
+    return Path(pooch.retrieve(source.url, known, fname=source.filename, path=folder, downloader=downloader))
+
+
+def _host(source: Source) -> str:
+    return source.url.split("/")[2] if "://" in source.url else source.url
+
+
+def _one_line(error: BaseException) -> str:
+    reason = error
+    while reason.__cause__ or reason.__context__:
+        reason = reason.__cause__ or reason.__context__  # type: ignore[assignment]
+    text = " ".join(str(error).split()) if isinstance(error, InputError) else " ".join(str(reason).split())
+    return text[:160] or type(error).__name__
+
+
+def _hash_file(path: Path) -> Path:
+    return path.with_name(path.name + ".sha256")
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,235 @@
+"""Records of input and output signals, their scaling, and their splits.
+
+Everything here is checked once, at the boundary, and read-only afterwards, so that no method
+can change what the next one sees. Time runs along the first axis.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nnss_cli.errors import InputError, unknown
+
+FloatArray: TypeAlias = NDArray[np.floating[Any]]
+
+Protocol: TypeAlias = Literal["paper", "strict"]
+PROTOCOLS: tuple[Protocol, ...] = ("paper", "strict")
+SPLITS = ("train", "val", "test")
+
+
+def check_protocol(name: str) -> Protocol:
+    """Return `name` as a protocol.
+
+    Raises:
+        InputError: it is not one; the message lists them.
+    """
+    for protocol in PROTOCOLS:
+        if name == protocol:
+            return protocol
+    raise unknown("protocol", name, PROTOCOLS)
+
+
+def _signal(name: str, values: ArrayLike) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[0] == 0 or array.shape[1] == 0:
+        raise InputError(f"{name}: expected samples × channels, found an array of shape {array.shape}")
+    if not np.isfinite(array).all():
+        row, column = np.argwhere(~np.isfinite(array))[0]
+        raise InputError(
+            f"{name}: sample {row} of channel {column} is {array[row, column]}; "
+            "expected finite numbers, so cut or repair the record there"
+        )
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Names and units of the signals, for tables and figures."""
+
+    inputs: tuple[str, ...]
+    """Name of each input."""
+    outputs: tuple[str, ...]
+    """Name of each output."""
+    input_units: tuple[str, ...]
+    """Unit of each input, "–" where the source states none."""
+    output_units: tuple[str, ...]
+    """Unit of each output, "–" where the source states none."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment: u(k) and y(k), k = 0 … K−1, sampled every Ts seconds."""
+
+    u: FloatArray
+    """Inputs (K, r), physical units."""
+    y: FloatArray
+    """Outputs (K, m), physical units."""
+    Ts: float
+    """Sampling time [s]."""
+
+    def __init__(self, u: ArrayLike, y: ArrayLike, Ts: float) -> None:
+        object.__setattr__(self, "u", _signal("u", u))
+        object.__setattr__(self, "y", _signal("y", y))
+        object.__setattr__(self, "Ts", float(Ts))
+        if len(self.u) != len(self.y):
+            raise InputError(f"u and y must have the same length: found {len(self.u)} and {len(self.y)} samples")
+        if not (np.isfinite(self.Ts) and self.Ts > 0):
+            raise InputError(f"Ts: expected a positive sampling time in seconds, found {Ts}")
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs r."""
+        return self.u.shape[1]
+
+    @property
+    def output_count(self) -> int:
+        """Number of outputs m."""
+        return self.y.shape[1]
+
+    def __getitem__(self, samples: slice) -> Record:
+        return Record(self.u[samples], self.y[samples], self.Ts)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A free simulation: what a model makes of an input and the first output sample."""
+
+    y: FloatArray
+    """Simulated outputs (K, m), physical units."""
+    x: FloatArray
+    """States x(k) (K, n), in the model's own coordinates."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """z-score: ũ = (u − u_mean)/u_std and likewise for y; deviations with ddof = 1."""
+
+    u_mean: FloatArray
+    """Mean of each input (r,)."""
+    u_std: FloatArray
+    """Standard deviation of each input (r,)."""
+    y_mean: FloatArray
+    """Mean of each output (m,)."""
+    y_std: FloatArray
+    """Standard deviation of each output (m,)."""
+
+    @classmethod
+    def of(cls, records: tuple[Record, ...]) -> Scaling:
+        """Statistics over all samples of `records`. A constant channel is only centred."""
+        u = np.concatenate([record.u for record in records])
+        y = np.concatenate([record.y for record in records])
+        return cls(u.mean(0), _deviation(u), y.mean(0), _deviation(y))
+
+    def apply(self, record: Record) -> Record:
+        """The record in normalised units."""
+        return Record(self.normalise_u(record.u), self.normalise_y(record.y), record.Ts)
+
+    def normalise_u(self, u: FloatArray) -> FloatArray:
+        """(u − u_mean)/u_std."""
+        return (u - self.u_mean) / self.u_std
+
+    def normalise_y(self, y: FloatArray) -> FloatArray:
+        """(y − y_mean)/y_std."""
+        return (y - self.y_mean) / self.y_std
+
+    def restore_y(self, y: FloatArray) -> FloatArray:
+        """y_std·ỹ + y_mean."""
+        return y * self.y_std + self.y_mean
+
+
+def _deviation(values: FloatArray) -> FloatArray:
+    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
+    return np.where(deviation > 0, deviation, 1.0)
+
+
+@dataclass(frozen=True)
+class FittingData:
+    """All that a method may see: it holds no test record, so nothing can be chosen on one."""
+
+    dataset: str
+    """Name of the dataset."""
+    protocol: Protocol
+    """Which split and statistics."""
+    train: tuple[Record, ...]
+    """Training experiments, physical units."""
+    val: tuple[Record, ...]
+    """Validation experiments, for early stopping and every choice."""
+    scaling: Scaling
+    """z-score statistics (the paper's power plant takes them over all 200 rows, others over train)."""
+    channels: Channels
+    """Names and units."""
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time [s]."""
+        return self.train[0].Ts
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs r."""
+        return self.train[0].input_count
+
+    @property
+    def output_count(self) -> int:
+        """Number of outputs m."""
+        return self.train[0].output_count
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A benchmark under one protocol: what may be fitted on, and the test kept apart from it."""
+
+    fitting: FittingData
+    """Train, validation and scaling."""
+    test: tuple[Record, ...]
+    """Test experiments; empty where the file at hand has none."""
+    notes: tuple[str, ...] = field(default=())
+    """What a reader of the results must know, such as why there is no test."""
+
+    def __post_init__(self) -> None:
+        for records in (self.fitting.train, self.fitting.val):
+            if not records:
+                raise InputError(f"dataset {self.fitting.dataset}: train and val each need a record")
+        first = self.fitting.train[0]
+        for record in self.fitting.train + self.fitting.val + self.test:
+            if (record.input_count, record.output_count) != (first.input_count, first.output_count):
+                raise InputError(f"dataset {self.fitting.dataset}: all records need the same channels")
+
+    @property
+    def name(self) -> str:
+        """Name of the dataset."""
+        return self.fitting.dataset
+
+    @property
+    def protocol(self) -> Protocol:
+        """Which split and statistics."""
+        return self.fitting.protocol
+
+    def splits(self) -> dict[str, tuple[Record, ...]]:
+        """The records to score, by split; a split without records is left out."""
+        everything = {"train": self.fitting.train, "val": self.fitting.val, "test": self.test}
+        return {split: records for split, records in everything.items() if records}
+
+    def fingerprint(self) -> str:
+        """A hash of every sample and statistic: runs with equal fingerprints are comparable."""
+        digest = hashlib.sha256()
+        for split, records in self.splits().items():
+            for record in records:
+                digest.update(f"{split}{record.u.shape}{record.y.shape}{record.Ts}".encode())
+                digest.update(record.u.tobytes())
+                digest.update(record.y.tobytes())
+        scaling = self.fitting.scaling
+        for statistic in (scaling.u_mean, scaling.u_std, scaling.y_mean, scaling.y_std):
+            digest.update(statistic.tobytes())
+        return digest.hexdigest()[:16]

@@ -1,0 +1,69 @@
+"""Embedded plants: an ODE, a seeded input and output noise. Nothing is downloaded."""
+
+from pathlib import Path
+
+import numpy as np
+from nnss_cli.datasets import twotank
+from nnss_cli.datasets.benchmark import Benchmark
+from nnss_cli.datasets.record import Dataset, FloatArray, Protocol
+
+# Parameters that reproduce the two-tank record (areas in m²): DESIGN.md of this project.
+A1, A2, K_PUMP, OUTLET1, OUTLET2, GRAVITY = 0.5, 0.25, 0.005, 0.02, 0.015, 9.81
+NOISE = 0.005  # standard deviation of the output noise [m]
+SUBSTEPS = 10
+
+
+def simulate_two_tank(u: FloatArray, h0: FloatArray) -> FloatArray:
+    """Levels of two cascaded tanks under a zero-order-held pump voltage.
+
+        A1 ḣ1 = k u − a1 √(2 g h1),   A2 ḣ2 = a1 √(2 g h1) − a2 √(2 g h2)
+
+    Args:
+        u: pump voltage (K,) [V], one sample each 0.2 s.
+        h0: levels at the first sample (2,) [m].
+
+    Returns:
+        Levels at the sampling instants (K, 2) [m], by Runge–Kutta of order 4 with 20 ms steps.
+    """
+
+    def slope(h: FloatArray, voltage: float) -> FloatArray:
+        flow1 = OUTLET1 * np.sqrt(2 * GRAVITY * max(h[0], 0.0))
+        flow2 = OUTLET2 * np.sqrt(2 * GRAVITY * max(h[1], 0.0))
+        return np.array([(K_PUMP * voltage - flow1) / A1, (flow1 - flow2) / A2])
+
+    step = twotank.Ts / SUBSTEPS
+    h = np.array(h0, dtype=np.float64)
+    levels = np.empty((len(u), 2))
+    for k, voltage in enumerate(u):
+        levels[k] = h
+        for _ in range(SUBSTEPS):
+            s1 = slope(h, voltage)
+            s2 = slope(h + step / 2 * s1, voltage)
+            s3 = slope(h + step / 2 * s2, voltage)
+            s4 = slope(h + step * s3, voltage)
+            h = h + step / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+    return levels
+
+
+def load(path: Path | None, protocol: Protocol) -> Dataset:
+    """Simulate and split as the recorded two-tank benchmark. `path` is not used: there is no file."""
+    del path
+    random = np.random.default_rng(20251)
+    # Like the recorded input: whole volts from 1 to 10, held for 100 to 250 samples.
+    levels: list[float] = []
+    while len(levels) < twotank.SAMPLES:
+        levels += [float(random.integers(1, 11))] * int(random.choice([100, 150, 200, 250]))
+    u = np.array(levels[: twotank.SAMPLES])
+    y = simulate_two_tank(u, np.array([0.05, 0.09]))[:, 1] + NOISE * random.standard_normal(len(u))
+    return twotank.split("twotank-sim", u[:, None], y[:, None], protocol)
+
+
+BENCHMARK = Benchmark(
+    name="twotank-sim",
+    title="Two-tank system, embedded simulation (no download)",
+    citation="nnss, datasets/simulated.py",
+    orders=(2, 3, 4),
+    sources=(),
+    cached_as="",
+    load=load,
+)

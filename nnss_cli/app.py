@@ -1,0 +1,94 @@
+"""The command line: `nnss`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated, Any
+
+# Tiny matrices: more BLAS threads only slow a process down, and workers would fight over the
+# cores. It must be set before numpy is loaded, so before anything else of this package.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import typer
+
+from nnss_cli.commands import compare, fetch, report, train
+from nnss_cli.commands.variadic import VariadicCommand
+from nnss_cli.errors import InputError
+from nnss_cli.version import __version__
+
+app = typer.Typer(
+    name="nnss",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Example: nnss compare twotank --orders 2 3 4 --seeds 10",
+)
+
+for _name, _module, _example in (
+    ("fetch", fetch, "nnss fetch daisy-powerplant    nnss fetch twotank --from twotankdata.mat"),
+    ("train", train, "nnss train twotank --order 3 --seed 0"),
+    ("compare", compare, "nnss compare twotank --orders 2 3 4 --seeds 10 --methods nnss n4sid"),
+    ("report", report, "nnss report --out results"),
+):
+    app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(_module.command)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"nnss {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _global(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave."),
+    ] = False,
+) -> None:
+    """A bench for system identification: NN-SS against classical methods, from records to tables."""
+
+
+UsageError: Any = typer.BadParameter.__bases__[0]  # click's or typer's own, whichever typer has
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line; every error that the user can mend is one line and exit code 2."""
+    try:
+        code = app(args, prog_name="nnss", standalone_mode=False)
+    except UsageError as error:
+        _fail(_usage_message(error))
+    except InputError as error:
+        _fail(str(error))
+    except InterruptedError as error:
+        _fail(str(error), 130)
+    except KeyboardInterrupt:
+        _fail("interrupted", 130)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _fail(f"'{error.filename}': {error.strerror}; check the path, its permissions and the free space")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage_message(error: Any) -> str:
+    message = " ".join(error.format_message().split()).rstrip(".")
+    if hasattr(error.__cause__, "errors"):  # pydantic knows the value that typer leaves out
+        message += f", found {error.__cause__.errors()[0].get('input')!r}"
+    ctx = error.ctx
+    command = ctx.command if ctx else None
+    if type(error).__name__ == "NoSuchOption" and command is not None:
+        names = [name for parameter in command.get_params(ctx) for name in parameter.opts if name.startswith("--")]
+        message += f": choose from {', '.join(sorted(set(names)))}"
+    elif message.startswith("No such command") and command is not None:
+        message += f": choose from {', '.join(command.commands)}"
+    elif ctx is not None:
+        message += f" (see '{ctx.command_path} --help')"
+    return message
+
+
+def _fail(message: str, code: int = 2) -> None:
+    print(f"nnss: {message}", file=sys.stderr)
+    sys.exit(code)

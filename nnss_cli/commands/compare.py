@@ -1,0 +1,98 @@
+"""`nnss compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nnss_cli.commands import options as opt
+from nnss_cli.errors import InputError
+
+
+def command(
+    dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
+    orders: Annotated[
+        list[int] | None,
+        typer.Option("--orders", metavar="N …", help="Model orders, e.g. --orders 2 3 4.", show_default="the paper's"),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")] = 10,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--methods", metavar="NAME …", help="Methods to compare.", show_default="all"),
+    ] = None,
+    protocol: opt.ProtocolName = "paper",
+    out: opt.Out = Path("results"),
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", metavar="N", help="Processes; the numbers do not depend on it.", show_default="cores"),
+    ] = None,
+    mirror: opt.Mirror = None,
+    offline: opt.Offline = False,
+    force: opt.Force = False,
+    epochs: opt.Epochs = None,
+    patience: opt.Patience = None,
+    window: opt.Window = None,
+    stride: opt.Stride = None,
+    batch: opt.Batch = None,
+    learning_rate: opt.LearningRate = None,
+    consistency: opt.Consistency = None,
+    hidden: opt.Hidden = None,
+    encoder: opt.Encoder = None,
+    scheduling: opt.Scheduling = None,
+    gamma: opt.Gamma = None,
+    epsilon: opt.Epsilon = None,
+    dtype: opt.Dtype = None,
+) -> None:
+    """Run methods × orders × seeds, keep every run, and write the table and the figures.
+
+    Finished runs are not repeated: after an interruption the same command goes on.
+    """
+    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.display import RunProgress, console, print_rows
+    from nnss_cli.datasets.catalog import benchmark
+    from nnss_cli.experiment.store import Store
+    from nnss_cli.experiment.sweep import plan, sweep
+    from nnss_cli.files import require_writable
+    from nnss_cli.methods import select
+    from nnss_cli.report.build import write_comparison
+    from nnss_cli.report.tables import failures, terminal_rows
+
+    if seeds < 1:
+        raise InputError(f"--seeds: expected at least 1, found {seeds}")
+    workers = opt.default_jobs() if jobs is None else jobs
+    if workers < 1:
+        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    chosen = select(methods or [])
+    entry = benchmark(dataset)
+    data = ready_dataset(dataset, protocol, mirror, offline)
+    store = Store(out, dataset, data.protocol)
+    changes = opt.overrides(
+        epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
+        consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
+        epsilon=epsilon, dtype=dtype,
+    )  # fmt: skip
+    todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes, force)
+    require_writable(store.folder)
+    console.print(
+        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {todo.done} done already",
+        highlight=False,
+    )
+    with RunProgress(todo.todo) as progress:
+        try:
+            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result)
+        except KeyboardInterrupt:
+            progress.progress.stop()
+            left = len(todo.todo) - progress.finished
+            raise InterruptedError(
+                f"interrupted: finished runs are kept in '{store.folder}', {left} are left; "
+                "the same command goes on from here"
+            ) from None
+    files = write_comparison(store)
+    results = store.results()
+    print_rows(terminal_rows(results), f"{dataset}, protocol {protocol}: RMSE, median over seeds")
+    for line in [*(f"Note: {note}" for note in data.notes), *failures(results)]:
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+    for path in files:
+        console.print(str(path), soft_wrap=True, highlight=False)

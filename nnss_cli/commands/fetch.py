@@ -1,0 +1,65 @@
+"""`nnss fetch`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nnss_cli.commands.options import Force, Mirror, Offline
+from nnss_cli.errors import InputError
+
+
+def command(
+    datasets: Annotated[list[str] | None, typer.Argument(metavar="[DATASET]...", help="Datasets to fetch.")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Fetch every dataset.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the datasets and whether they are here.")] = False,
+    file: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Take a file that you have instead of fetching one."),
+    ] = None,
+    mirror: Mirror = None,
+    offline: Offline = False,
+    force: Force = False,
+) -> None:
+    """Fetch benchmark records into the cache (NNSS_DATA_DIR, else the platform's cache folder)."""
+    from nnss_cli.commands.display import DownloadProgress, console, print_rows
+    from nnss_cli.datasets.catalog import BENCHMARKS, benchmark
+    from nnss_cli.datasets.download import cache_folder, fetch, install, is_cached
+
+    if show:
+        rows = [
+            {
+                "dataset": entry.name,
+                "what": entry.title,
+                "here": "built in" if not entry.sources else "yes" if is_cached(entry) else "no",
+                "paper's orders": " ".join(map(str, entry.orders)),
+            }
+            for entry in BENCHMARKS.values()
+        ]
+        print_rows(rows, f"Datasets (cache: {cache_folder()})", text_columns=3)
+        for entry in BENCHMARKS.values():
+            console.print(f"Cite for {entry.name}: {entry.citation}", soft_wrap=True, highlight=False)
+        return
+    names = list(BENCHMARKS) if everything else list(datasets or [])
+    if not names:
+        raise InputError(f"name a dataset ({', '.join(BENCHMARKS)}), or use --all or --list")
+    entries = [benchmark(name) for name in names]
+    if file is not None:
+        if len(entries) != 1:
+            raise InputError("--from takes one file for one dataset: name exactly one")
+        console.print(f"{entries[0].name}: {install(entries[0], file)}", soft_wrap=True, highlight=False)
+        return
+    failures = []
+    for entry in entries:
+        if not entry.sources:
+            console.print(f"{entry.name}: simulated, nothing to fetch", highlight=False)
+            continue
+        try:
+            path = fetch(entry, mirror=mirror, offline=offline, force=force, progress=DownloadProgress)
+            console.print(f"{entry.name}: {path}", soft_wrap=True, highlight=False)
+        except InputError as error:  # the others may still be had
+            failures.append(str(error))
+    if failures:
+        raise InputError("; ".join(failures))

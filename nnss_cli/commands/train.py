@@ -1,0 +1,73 @@
+"""`nnss train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nnss_cli.commands import options as opt
+
+
+def command(
+    dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
+    order: Annotated[int, typer.Option("--order", metavar="N", help="Number of states n.")],
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of weights and shuffling.", min=0)] = 0,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help="Method to train.")] = "nnss",
+    protocol: opt.ProtocolName = "paper",
+    out: opt.Out = Path("results"),
+    mirror: opt.Mirror = None,
+    offline: opt.Offline = False,
+    force: opt.Force = False,
+    epochs: opt.Epochs = None,
+    patience: opt.Patience = None,
+    window: opt.Window = None,
+    stride: opt.Stride = None,
+    batch: opt.Batch = None,
+    learning_rate: opt.LearningRate = None,
+    consistency: opt.Consistency = None,
+    hidden: opt.Hidden = None,
+    encoder: opt.Encoder = None,
+    scheduling: opt.Scheduling = None,
+    gamma: opt.Gamma = None,
+    epsilon: opt.Epsilon = None,
+    dtype: opt.Dtype = None,
+) -> None:
+    """Train one model, keep it under results/ and print its errors."""
+    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.display import RunProgress, console, print_rows
+    from nnss_cli.errors import InputError
+    from nnss_cli.experiment.store import Store
+    from nnss_cli.experiment.sweep import plan, sweep
+    from nnss_cli.files import require_writable
+    from nnss_cli.methods import select
+    from nnss_cli.report.tables import score_rows
+
+    methods = select([method])
+    data = ready_dataset(dataset, protocol, mirror, offline)
+    store = Store(out, dataset, data.protocol)
+    changes = opt.overrides(
+        epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
+        consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
+        epsilon=epsilon, dtype=dtype,
+    )  # fmt: skip
+    todo = plan(store, data, methods, [order], [seed], changes, force)
+    require_writable(store.folder)
+    with RunProgress(todo.todo) as progress:
+        sweep(todo.todo, data, store, 1, progress.on_event, progress.on_result)
+    kept_seed = seed if methods[0].seeded else 0
+    result = next(
+        r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
+    )
+    if result.status != "ok":
+        raise InputError(f"{result.spec.label} {result.status}: {result.reason}")
+    if todo.done:
+        console.print("This run was finished already: --force trains it again.")
+    for note in data.notes:
+        console.print(f"Note: {note}", soft_wrap=True, highlight=False)
+    print_rows(
+        score_rows(result),
+        f"{dataset}, protocol {protocol}, {method}, order {order}, seed {result.spec.seed}",
+    )
+    console.print(f"Model: {store.run_folder(result.spec)}", soft_wrap=True, highlight=False)

@@ -1,0 +1,84 @@
+"""Execute one run: fit, simulate every split, score, keep."""
+
+from __future__ import annotations
+
+import platform
+import time
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib import metadata
+
+import numpy as np
+
+from nnss_cli.datasets.record import Dataset
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
+from nnss_cli.experiment.store import Store
+from nnss_cli.methods import METHODS, EpochCallback, Fit, Model
+from nnss_cli.modelfile import Tensors
+from nnss_cli.version import __version__
+
+
+def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallback | None = None) -> RunResult:
+    """Fit, simulate, score and write one run. Numerical failure is a result, not an exception."""
+    store.clear(spec)
+    status: Status = "ok"
+    reason = ""
+    scores: list[Score] = []
+    signals: Tensors = {}
+    fit = Fit(None)
+    started = time.perf_counter()
+    try:
+        fit = METHODS[spec.method].fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        if fit.diverged:
+            status, reason = "diverged", fit.diverged
+    except (InputError, np.linalg.LinAlgError) as error:
+        status, reason = "failed", " ".join(str(error).split())
+    fit_seconds = time.perf_counter() - started
+    if fit.model is not None:
+        scores, signals = simulate_splits(fit.model, dataset)
+        bad = [score.split for score in scores if not np.isfinite(score.rmse)]
+        if bad:
+            status, reason = (
+                "diverged",
+                f"the simulation of {', '.join(dict.fromkeys(bad))} left the finite range",
+            )
+            scores = []
+        fit.model.save(store.run_folder(spec))
+    result = RunResult(
+        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), provenance(), fit.history,
+        asdict(dataset.fitting.channels), dataset.notes,
+    )  # fmt: skip
+    store.write(result, signals)
+    return result
+
+
+def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensors]:
+    """Free simulation of every record from its first output sample: the scores and the signals."""
+    scores: list[Score] = []
+    signals: Tensors = {}
+    for split, records in dataset.splits().items():
+        simulations = [model.simulate(record.u, record.y[0]) for record in records]
+        for index, (record, simulation) in enumerate(zip(records, simulations, strict=True)):
+            prefix = f"{split}/{index}"
+            signals |= {
+                f"{prefix}/u": record.u, f"{prefix}/y": record.y,
+                f"{prefix}/y_sim": simulation.y, f"{prefix}/x": simulation.x,
+            }  # fmt: skip
+        scores += score_outputs(
+            split, [record.y for record in records], [s.y for s in simulations], dataset.fitting.scaling
+        )
+    signals["Ts"] = np.array([dataset.fitting.Ts])
+    return scores, signals
+
+
+def provenance() -> dict[str, str]:
+    """Where a number came from: versions, machine, time."""
+    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "torch")}
+    return {
+        "nnss": __version__,
+        "python": platform.python_version(),
+        **versions,
+        "machine": f"{platform.system()} {platform.machine()}",
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }

@@ -1,0 +1,1 @@
+"""The NN-SS model and its stable parametrisation, in torch."""

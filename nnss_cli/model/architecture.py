@@ -1,0 +1,62 @@
+"""Sizes and fixed choices of an NN-SS model, checked without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.errors import InputError, unknown
+
+SCHEDULING = ("x", "x+u", "x+y", "x+u+y")
+DTYPES = ("float32", "float64")
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Sizes and fixed choices of an NN-SS model."""
+
+    order: int
+    """Number of states n."""
+    inputs: int
+    """Number of inputs r."""
+    outputs: int
+    """Number of outputs m."""
+    hidden: tuple[int, ...] = (100,)
+    """Widths of the generator's sigmoid layers."""
+    encoder: tuple[int, ...] = (16, 16)
+    """Widths of the encoder's linear layers before its output."""
+    scheduling: str = "x"
+    """What the generator sees: x, x+u, x+y or x+u+y (y is the previous output)."""
+    gamma: float = 1.0
+    """Bound on the spectral radius of A(ρ), 0 < γ ≤ 1."""
+    epsilon: float = EPSILON
+    """Added to S in the Schur parametrisation."""
+    dtype: str = "float32"
+    """float32 or float64."""
+
+    def __post_init__(self) -> None:
+        if self.scheduling not in SCHEDULING:
+            raise unknown("scheduling", self.scheduling, SCHEDULING)
+        if self.dtype not in DTYPES:
+            raise unknown("dtype", self.dtype, DTYPES)
+        if not 0 < self.gamma <= 1:
+            raise InputError(f"gamma: expected 0 < gamma ≤ 1, found {self.gamma}")
+        if not self.epsilon > 0:
+            raise InputError(f"epsilon: expected a positive number, found {self.epsilon}")
+        if min((self.order, *self.hidden, *self.encoder)) < 1 or not self.hidden:
+            raise InputError(
+                f"order and widths must be at least 1 and the generator needs a hidden layer: found order "
+                f"{self.order}, hidden {self.hidden}, encoder {self.encoder}"
+            )
+
+    @property
+    def scheduling_size(self) -> int:
+        """Length of the generator's input."""
+        parts = self.scheduling.split("+")
+        return self.order + self.inputs * ("u" in parts) + self.outputs * ("y" in parts)
+
+    @property
+    def parameter_sizes(self) -> tuple[int, int, int, int]:
+        """Numbers of entries of W, V, B and C: the generator's output is their concatenation."""
+        n = self.order
+        return 4 * n * n, n * n, n * self.inputs, self.outputs * n

@@ -1,0 +1,158 @@
+"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point.
+
+    x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k),   x(0) = g(y(0))
+
+ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
+follows from W and V by the Schur parametrisation. The encoder g is a chain of linear layers.
+
+Source: A. E. Sertbaş and T. Kumbasar, "Stable-by-Design Neural Network-Based LPV State-Space
+Models for System Identification", arXiv:2510.24757, 2025, and the code released with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation
+from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.schur import schur_terms
+from nnss_cli.modelfile import Tensors, write_model
+
+
+class NNSS(nn.Module):
+    """The model: two networks, the step they define, and the scaling to physical units."""
+
+    KIND = "nnss"
+
+    def __init__(self, architecture: Architecture, scaling: Scaling, channels: Channels, Ts: float) -> None:
+        """Build with zero weights; `initialise` or `load_state_dict` fills them."""
+        super().__init__()
+        self.architecture = architecture
+        self.channels = channels
+        self.Ts = Ts
+        self.dtype: torch.dtype = getattr(torch, architecture.dtype)
+        a = architecture
+        layers: list[nn.Module] = []
+        for before, width in pairwise((a.scheduling_size, *a.hidden)):
+            layers += [nn.Linear(before, width, dtype=self.dtype), nn.Sigmoid()]
+        layers.append(nn.Linear(a.hidden[-1], sum(a.parameter_sizes), dtype=self.dtype))
+        self.generator = nn.Sequential(*layers)
+        self.encoder = nn.Sequential(
+            *(
+                nn.Linear(before, width, dtype=self.dtype)
+                for before, width in pairwise((a.outputs, *a.encoder, a.order))
+            )
+        )
+        for name, statistic in asdict(scaling).items():
+            self.register_buffer(name, torch.tensor(statistic, dtype=torch.float64))
+        with torch.no_grad():
+            for parameter in self.parameters():
+                parameter.zero_()
+
+    def initialise(self, random: np.random.Generator) -> None:
+        """Glorot-uniform weights and zero biases, as MATLAB's fully connected layers start.
+
+        Drawn in NumPy and float64, so that every precision and engine starts from one point.
+        """
+        with torch.no_grad():
+            for name, parameter in self.named_parameters():
+                if name.endswith("bias"):
+                    parameter.zero_()
+                else:
+                    bound = np.sqrt(6.0 / sum(parameter.shape))
+                    parameter.copy_(torch.from_numpy(random.uniform(-bound, bound, tuple(parameter.shape))))
+
+    @property
+    def scaling(self) -> Scaling:
+        """The scaling, from the buffers."""
+        return Scaling(*(getattr(self, field.name).numpy() for field in fields(Scaling)))
+
+    def matrices(self, rho: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """W (b, 2n, 2n), V (b, n, n), B (b, n, r), C (b, m, n) at scheduling points rho (b, ·)."""
+        n, r, m = self.architecture.order, self.architecture.inputs, self.architecture.outputs
+        W, V, B, C = self.generator(rho).split(self.architecture.parameter_sizes, dim=-1)
+        return (
+            W.reshape(-1, 2 * n, 2 * n),
+            V.reshape(-1, n, n),
+            B.reshape(-1, n, r),
+            C.reshape(-1, m, n),
+        )
+
+    def rho(self, x: Tensor, u: Tensor, y_previous: Tensor) -> Tensor:
+        """The scheduling vector: x, and u or the previous output where they are asked for."""
+        parts = self.architecture.scheduling.split("+")
+        return torch.cat([x] + [u] * ("u" in parts) + [y_previous] * ("y" in parts), dim=-1)
+
+    def step(self, x: Tensor, u: Tensor, y_previous: Tensor) -> tuple[Tensor, Tensor]:
+        """One sample, in normalised units: x(k+1) (b, n) and y(k) (b, m) from x (b, n), u (b, r).
+
+        A x = S12 (M⁻¹ x), so A itself is not formed.
+        """
+        W, V, B, C = self.matrices(self.rho(x, u, y_previous))
+        S12, M = schur_terms(W, V, self.architecture.gamma, self.architecture.epsilon)
+        z = torch.linalg.solve(M, x.unsqueeze(-1))
+        x_next = (S12 @ z + B @ u.unsqueeze(-1)).squeeze(-1)
+        y = (C @ x.unsqueeze(-1)).squeeze(-1)
+        return x_next, y
+
+    def forward(self, u: Tensor, y0: Tensor, y_previous: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Free simulation of a batch, in normalised units.
+
+        Args:
+            u: inputs (b, K, r).
+            y0: first output sample (b, m), for the encoder.
+            y_previous: output before the first (b, m), for scheduling on y; y0 where it is None.
+
+        Returns:
+            y (b, K, m) and x (b, K, n).
+        """
+        x = self.encoder(y0)
+        y_previous = y0 if y_previous is None else y_previous
+        xs, ys = [], []
+        for k in range(u.shape[1]):
+            xs.append(x)
+            x, y_previous = self.step(x, u[:, k], y_previous)
+            ys.append(y_previous)
+        return torch.stack(ys, dim=1), torch.stack(xs, dim=1)
+
+    @torch.no_grad()
+    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
+        """Free simulation in physical units, from the first output sample alone.
+
+        Args:
+            u: inputs (K, r).
+            y0: first output sample (m,).
+        """
+        scaling = self.scaling
+        u_scaled = torch.tensor(scaling.normalise_u(u), dtype=self.dtype)[None]
+        y0_scaled = torch.tensor(scaling.normalise_y(y0), dtype=self.dtype)[None]
+        y, x = self(u_scaled, y0_scaled)
+        return Simulation(scaling.restore_y(y[0].numpy().astype(np.float64)), x[0].numpy().astype(np.float64))
+
+    def save(self, folder: Path) -> None:
+        """Write model.json and model.safetensors into `folder`."""
+        description = {
+            "kind": self.KIND,
+            "Ts": self.Ts,
+            "channels": asdict(self.channels),
+            "architecture": asdict(self.architecture),
+        }
+        write_model(folder, description, {name: tensor.numpy() for name, tensor in self.state_dict().items()})
+
+    @classmethod
+    def from_file(cls, description: dict[str, Any], tensors: Tensors) -> NNSS:
+        """The inverse of `save`."""
+        settings = description["architecture"]
+        settings |= {"hidden": tuple(settings["hidden"]), "encoder": tuple(settings["encoder"])}
+        channels = Channels(**{name: tuple(names) for name, names in description["channels"].items()})
+        scaling = Scaling(*(tensors[field.name] for field in fields(Scaling)))
+        model = cls(Architecture(**settings), scaling, channels, description["Ts"])
+        model.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in tensors.items()})
+        return model

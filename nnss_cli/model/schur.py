@@ -1,0 +1,29 @@
+"""The Schur parametrisation in torch, batched; `baselines.schur` has the formula and its source."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from nnss_cli.baselines.schur import EPSILON
+
+
+def schur_terms(W: Tensor, V: Tensor, gamma: float = 1.0, epsilon: float = EPSILON) -> tuple[Tensor, Tensor]:
+    """S12 and M, both (…, n, n), of which A = S12 M⁻¹.
+
+    Args:
+        W: free matrices (…, 2n, 2n).
+        V: free matrices (…, n, n).
+        gamma: bound on the spectral radius, 0 < γ ≤ 1.
+        epsilon: added to the diagonal of S, so that S is positive definite for every W.
+    """
+    n = V.shape[-1]
+    S = W.mT @ W + epsilon * torch.eye(2 * n, dtype=W.dtype, device=W.device)
+    M = 0.5 * (S[..., :n, :n] / gamma**2 + S[..., n:, n:]) + V - V.mT
+    return S[..., :n, n:], M
+
+
+def schur_matrix(W: Tensor, V: Tensor, gamma: float = 1.0, epsilon: float = EPSILON) -> Tensor:
+    """A = S12 M⁻¹ (…, n, n), ρ(A) < γ for every W and V."""
+    S12, M = schur_terms(W, V, gamma, epsilon)
+    return torch.linalg.solve(M, S12, left=False)

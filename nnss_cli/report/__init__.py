@@ -1,0 +1,1 @@
+"""Tables and figures, from what is on disk alone. Imports no torch."""

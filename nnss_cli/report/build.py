@@ -1,0 +1,180 @@
+"""Write the tables and figures of a comparison, and the report over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.run import RunResult
+from nnss_cli.experiment.store import Store, stores
+from nnss_cli.files import write_text
+from nnss_cli.report import figures
+from nnss_cli.report.aggregate import best_by_method, long_table, methods_of, scored_split
+from nnss_cli.report.tables import SPLIT_NAMES, failures, paper_comparison, rmse_markdown
+
+HOUR = 3600.0
+
+
+def write_comparison(store: Store) -> list[Path]:
+    """Rebuild rmse.csv, rmse.md and the figures of one dataset and protocol from its runs.
+
+    Returns:
+        The files written, figures that have nothing to show left out.
+
+    Raises:
+        InputError: there are no runs, or one is damaged.
+    """
+    results = store.results()
+    if not results:
+        raise InputError(f"no finished runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
+    folder = store.folder
+    write_text(folder / "rmse.csv", long_table(results).to_csv(index=False, lineterminator="\n"))
+    write_text(folder / "rmse.md", rmse_markdown(results))
+    written = [folder / "rmse.csv", folder / "rmse.md"]
+    drawn = {
+        "boxplot": (_boxplot(results), (".png", ".svg")),
+        "simulation": (_simulation(store, results), (".png",)),
+        "states": (_states(store, results), (".png",)),
+    }
+    for name, (figure, suffixes) in drawn.items():
+        for suffix in suffixes:
+            path = folder / f"{name}{suffix}"
+            if figure is None:
+                path.unlink(missing_ok=True)  # one of an earlier set of runs
+            else:
+                figures.save_figure(figure, path)
+                written.append(path)
+        if figure is not None:
+            figures.close_figure(figure)
+    return written
+
+
+def write_report(out: Path) -> Path:
+    """Rebuild every comparison under `out` and write report.md.
+
+    Raises:
+        InputError: there are no runs.
+    """
+    found = [store for store in stores(out) if store.results()]
+    if not found:
+        raise InputError(f"no finished runs under '{out}': run 'nnss compare DATASET' first, or give --out")
+    parts = [
+        "# Comparison of identification methods",
+        "Rebuilt by `nnss report` from the runs on disk, without training. RMSE of free simulations from the first "
+        "output sample, in physical units.",
+    ]
+    for store in found:
+        files = write_comparison(store)
+        parts.append(_section(store, files, out))
+    path = out / "report.md"
+    write_text(path, "\n\n".join(parts) + "\n")
+    return path
+
+
+def _section(store: Store, files: Sequence[Path], out: Path) -> str:
+    results = store.results()
+    entry = BENCHMARKS.get(store.dataset)
+    table = (store.folder / "rmse.md").read_text(encoding="utf-8")
+    parts = [f"## {store.dataset}, protocol `{store.protocol}`"]
+    if entry:
+        parts.append(f"{entry.title}. Source: {entry.citation}.")
+    # The comparison's own page, its headings one level down.
+    parts.append("\n".join(f"#{line}" if line.startswith("##") else line for line in table.splitlines()[2:]).strip())
+    beside = paper_comparison(results)
+    if beside:
+        parts.append(
+            "### Beside the paper's table\n\nThe paper prints the best of ten seeds, chosen on test; ours is "
+            "the median over the seeds run and the best chosen on validation.\n\n" + beside
+        )
+    parts.append("### Figures")
+    parts += [
+        f"![{path.stem} of {store.dataset}, protocol {store.protocol}]({path.relative_to(out).as_posix()})"
+        for path in files
+        if path.suffix == ".png"
+    ]
+    versions = sorted({_versions(result) for result in results})
+    parts.append(
+        f"{len(results)} runs, {len(failures(results))} without a result. Made with " + "; ".join(versions) + "."
+    )
+    return "\n\n".join(parts)
+
+
+def _versions(result: RunResult) -> str:
+    return ", ".join(
+        f"{name} {result.provenance[name]}" for name in ("nnss", "python", "numpy", "scipy", "torch", "machine")
+    )
+
+
+def _output_axes(result: RunResult) -> list[figures.Axis]:
+    channels = result.channels
+    return [figures.Axis(name, unit) for name, unit in zip(channels["outputs"], channels["output_units"], strict=True)]
+
+
+def _title(result: RunResult) -> str:
+    return f"{result.spec.dataset} (protocol {result.spec.protocol})"
+
+
+def _boxplot(results: Sequence[RunResult]) -> Figure | None:
+    split = scored_split(results)
+    values: dict[str, dict[str, dict[int, list[float]]]] = {}
+    for method in methods_of(results):
+        for result in results:
+            if result.spec.method != method:
+                continue
+            for score in result.scores:
+                if score.split == split:
+                    by_order = values.setdefault(score.output, {}).setdefault(method, {})
+                    by_order.setdefault(result.spec.order, []).append(score.rmse)
+    if not values:
+        return None
+    axes = {f"y{i + 1}": axis for i, axis in enumerate(_output_axes(results[0]))}
+    seeds = len({result.spec.seed for result in results})
+    title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} RMSE over {seeds} seed{'s' * (seeds > 1)}"
+    return figures.draw_boxplot(values, axes, title, SPLIT_NAMES[split].lower())
+
+
+def _simulation(store: Store, results: Sequence[RunResult]) -> Figure | None:
+    split = scored_split(results)
+    best = best_by_method(results)
+    if not best:
+        return None
+    simulated = {}
+    measured: FloatArray = np.empty(0)
+    time: FloatArray = np.empty(0)
+    unit = "s"
+    for method, result in best.items():
+        signals = store.signals(result.spec)
+        measured = signals[f"{split}/0/y"]
+        time, unit = _time(len(measured), float(signals["Ts"][0]))
+        simulated[method] = (f"(n = {result.spec.order})", signals[f"{split}/0/y_sim"])
+    axes = _output_axes(results[0])
+    title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} record, each method's best run by validation"
+    return figures.draw_simulation(time, measured, simulated, axes, unit, title)
+
+
+def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
+    split = scored_split(results)
+    result = best_by_method(results).get("nnss")
+    if result is None:
+        return None
+    signals = store.signals(result.spec)
+    time, unit = _time(len(signals[f"{split}/0/y"]), float(signals["Ts"][0]))
+    record = f"{SPLIT_NAMES[split].lower()} record, measured outputs on top"
+    title = (
+        f"{_title(result)}: latent states of the best NN-SS run by validation\n"
+        f"(n = {result.spec.order}, seed {result.spec.seed}; {record})"
+    )
+    return figures.draw_states(
+        time, signals[f"{split}/0/x"], signals[f"{split}/0/y"], _output_axes(result), unit, title
+    )
+
+
+def _time(K: int, Ts: float) -> tuple[FloatArray, str]:
+    time = np.arange(K) * Ts
+    return (time / HOUR, "h") if K * Ts > 3 * HOUR else (time, "s")

@@ -1,0 +1,227 @@
+"""The figures. Each function draws what it is given; nothing is computed or chosen here."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.files import write_atomically
+
+STYLE: Any = {
+    "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "grid.color": "0.9", "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 100, "savefig.dpi": 200,
+    "svg.hashsalt": "nnss",  # equal data, equal file
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """One look per method in every figure; lines and hatches tell them apart in grey."""
+
+    label: str
+    colour: str
+    line: str | tuple[int, tuple[int, ...]]
+    hatch: str
+
+
+# Okabe–Ito colours, which stay apart for colour-blind readers; lightness differs for print in grey.
+STYLES: dict[str, MethodStyle] = {
+    "nnss": MethodStyle("NN-SS", "#0072B2", "-", ""),
+    "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//"),
+    "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\"),
+    "ssest": MethodStyle("SSEST", "#009E73", (0, (1, 1)), "xx"),
+    "ssregest": MethodStyle("SSREGEST", "#CC79A7", (0, (3, 1, 1, 1, 1, 1)), ".."),
+}
+
+
+def style_of(method: str) -> MethodStyle:
+    """The method's look; a plain one for a method that has none."""
+    return STYLES.get(method, MethodStyle(method, "0.4", "-", "++"))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Name and unit of a signal."""
+
+    name: str
+    unit: str
+
+    def __str__(self) -> str:
+        return self.name if self.unit == "–" else f"{self.name} [{self.unit}]"
+
+
+def draw_boxplot(
+    values: Mapping[str, Mapping[str, Mapping[int, Sequence[float]]]],
+    axes: Mapping[str, Axis],
+    title: str,
+    split: str,
+) -> Figure:
+    """RMSE over seeds by order and method, one panel an output, logarithmic.
+
+    Args:
+        values: output → method → order → RMSE of each seed.
+        axes: output → its name and unit.
+        title: of the figure.
+        split: name of the split for the axis label.
+    """
+    with plt.rc_context(STYLE):
+        figure, panels = plt.subplots(
+            1, len(values), figsize=(max(4.6, 3.4 * len(values)), 3.4), squeeze=False, layout="constrained"
+        )
+        methods = list(dict.fromkeys(method for by_method in values.values() for method in by_method))
+        for panel, (output, by_method) in zip(panels[0], values.items(), strict=True):
+            orders = sorted({order for by_order in by_method.values() for order in by_order})
+            width = 0.8 / max(1, len(methods))
+            for index, method in enumerate(methods):
+                look = style_of(method)
+                for position, order in enumerate(orders):
+                    sample = by_method.get(method, {}).get(order, [])
+                    at = position + (index - (len(methods) - 1) / 2) * width
+                    if len(sample) > 1:
+                        box = panel.boxplot(
+                            [sample], positions=[at], widths=0.85 * width, patch_artist=True,
+                            medianprops={"color": "black", "linewidth": 1.4},
+                            flierprops={"marker": "o", "markersize": 3, "markeredgecolor": look.colour},
+                        )  # fmt: skip
+                        box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
+                    elif sample:
+                        # One run has no spread: a bar with a diamond, so that it is not taken for a box.
+                        panel.hlines(sample[0], at - 0.42 * width, at + 0.42 * width, color=look.colour, linewidth=2)
+                        panel.plot(at, sample[0], "D", color=look.colour, markersize=4, markeredgecolor="black")
+            panel.set_xticks(range(len(orders)), [str(order) for order in orders])
+            panel.set_xlim(-0.6, len(orders) - 0.4)
+            panel.set_yscale("log")
+            _few_log_ticks(panel)
+            panel.set_xlabel("order n")
+            panel.set_ylabel(f"{split} RMSE, {axes[output]}")
+        handles = [
+            Patch(
+                facecolor=style_of(m).colour,
+                alpha=0.75,
+                hatch=style_of(m).hatch,
+                edgecolor="black",
+                label=style_of(m).label,
+            )
+            for m in methods
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def _few_log_ticks(panel: Any) -> None:
+    """Plain numbers on a logarithmic axis that may span less than a decade."""
+    low, high = panel.get_ylim()
+    if high / low > 20:
+        subs: tuple[float, ...] = (1.0, 2.0, 5.0)
+    elif high / low > 3:
+        subs = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    else:
+        subs = tuple(np.arange(1.0, 10.0, 1.0 if high / low > 1.6 else 0.5))
+    panel.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+
+
+def draw_simulation(
+    time: FloatArray, measured: FloatArray, simulated: Mapping[str, tuple[str, FloatArray]],
+    outputs: Sequence[Axis], time_unit: str, title: str,
+) -> Figure:  # fmt: skip
+    """Measured and simulated outputs, one panel an output.
+
+    Args:
+        time: instants (K,).
+        measured: outputs (K, m).
+        simulated: method → (what to add to its label, outputs (K, m)).
+        outputs: names and units.
+        time_unit: unit of `time`.
+        title: of the figure.
+    """
+    with plt.rc_context(STYLE):
+        m = measured.shape[1]
+        figure, panels = plt.subplots(
+            m, 1, figsize=(7.2, 1.2 + 1.9 * m), sharex=True, squeeze=False, layout="constrained"
+        )
+        for i, panel in enumerate(panels[:, 0]):
+            panel.plot(time, measured[:, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
+            for method, (detail, y) in simulated.items():
+                look = style_of(method)
+                panel.plot(
+                    time,
+                    y[:, i],
+                    color=look.colour,
+                    linestyle=look.line,
+                    linewidth=1.1,
+                    label=f"{look.label} {detail}",
+                )
+            panel.set_ylabel(str(outputs[i]))
+            panel.margins(x=0.01)
+        panels[-1, 0].set_xlabel(f"time [{time_unit}]")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def draw_states(
+    time: FloatArray,
+    states: FloatArray,
+    measured: FloatArray,
+    outputs: Sequence[Axis],
+    time_unit: str,
+    title: str,
+) -> Figure:
+    """Latent states over time, with the measured outputs that they follow above them.
+
+    Args:
+        time: instants (K,).
+        states: x(k) (K, n).
+        measured: outputs (K, m), physical units.
+        outputs: names and units.
+        time_unit: unit of `time`.
+        title: of the figure.
+    """
+    with plt.rc_context(STYLE):
+        n, m = states.shape[1], measured.shape[1]
+        figure, panels = plt.subplots(
+            n + m, 1, figsize=(7.2, 0.9 + 1.05 * (n + m)), sharex=True, squeeze=False, layout="constrained"
+        )
+        for i in range(m):
+            panels[i, 0].plot(time, measured[:, i], color="black", linewidth=1.0)
+            panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize=8)
+        for i in range(n):
+            panels[m + i, 0].plot(time, states[:, i], color=style_of("nnss").colour, linewidth=1.1)
+            panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
+        for panel in panels[:, 0]:
+            panel.margins(x=0.01)
+            panel.yaxis.set_major_locator(MaxNLocator(3))
+        figure.align_ylabels()
+        panels[-1, 0].set_xlabel(f"time [{time_unit}]")
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure atomically and close it; equal figures give equal files."""
+    metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+    with plt.rc_context(STYLE):
+        write_atomically(path, lambda temporary: figure.savefig(temporary, metadata=metadata))
+
+
+def close_figure(figure: Figure) -> None:
+    """Free a figure's memory."""
+    plt.close(figure)

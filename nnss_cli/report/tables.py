@@ -1,0 +1,140 @@
+"""Tables as Markdown, and the rows for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+from tabulate import tabulate
+
+from nnss_cli.datasets.record import SPLITS
+from nnss_cli.experiment.run import RunResult
+from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, summary
+
+SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
+
+
+def number(value: float | None) -> str:
+    """Four significant digits; "–" for nothing."""
+    if value is None or pd.isna(value):
+        return "–"
+    return f"{value:.4g}"
+
+
+def failures(results: Sequence[RunResult]) -> list[str]:
+    """One line for each run that is not ok."""
+    return [
+        f"{r.spec.method}, order {r.spec.order}, seed {r.spec.seed}: {r.status}: {r.reason}"
+        for r in results
+        if r.status != "ok"
+    ]
+
+
+def rmse_markdown(results: Sequence[RunResult]) -> str:
+    """The summary over seeds, one table a split, and the runs that failed."""
+    first = results[0].spec
+    parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
+    table = summary(results)
+    for split in SPLITS:
+        body = rows_of_split(table, split, methods_of(results))
+        if body:
+            parts.append(f"## {SPLIT_NAMES[split]}\n\n" + _markdown(body))
+    lines = failures(results)
+    if lines:
+        parts.append("## Runs without a result\n\n" + "\n".join(f"- {line}" for line in lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def rows_of_split(table: pd.DataFrame, split: str, methods: list[str]) -> list[dict[str, str]]:
+    """The summary's rows for one split, as text, by order, method and output."""
+    if table.empty:
+        return []
+    rows = table[table["split"] == split].assign(position=lambda t: t["method"].map(methods.index))
+    return [
+        {
+            "order": str(row.order), "method": str(row.method), "output": str(row.output), "runs": str(row.runs),
+            "mean": number(row.mean), "median": number(row.median),
+            "best by validation": f"{number(row.best)} (seed {row.best_seed})" if row.runs > 1 else number(row.best),
+            "spread (q1–q3)": f"{number(row.q1)}–{number(row.q3)}" if row.runs > 1 else "–",
+            "min–max": f"{number(row.min)}–{number(row.max)}" if row.runs > 1 else "–",
+        }
+        for row in rows.sort_values(["order", "position", "output"]).itertuples()
+    ]  # fmt: skip
+
+
+def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
+    """A short table: medians of all splits, the test error of the best run; mean over outputs."""
+    table = summary(results)
+    methods = methods_of(results)
+    rows = []
+    for order in sorted({r.spec.order for r in results}):
+        for method in methods:
+            own = [r for r in results if (r.spec.method, r.spec.order) == (method, order)]
+            if not own:
+                continue
+            ok = sum(r.status == "ok" for r in own)
+            row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
+            cells = _cells(table, method, order)
+            for split in SPLITS:
+                row[split] = number(cells[split]["median"]) if split in cells else "–"
+            shown = cells.get("test", cells.get("val"))
+            row["q1–q3"] = f"{number(shown['q1'])}–{number(shown['q3'])}" if shown is not None and ok > 1 else "–"
+            row["best by val."] = number(shown["best"]) if shown is not None else "–"
+            rows.append(row)
+    return rows
+
+
+def score_rows(result: RunResult) -> list[dict[str, str]]:
+    """One run's errors by split and output."""
+    return [
+        {
+            "split": score.split, "output": score.output, "RMSE": number(score.rmse),
+            "RMSE/σ": number(score.nrmse), "fit [%]": f"{score.fit_percent:.1f}",
+        }
+        for score in result.scores
+    ]  # fmt: skip
+
+
+def _cells(table: pd.DataFrame, method: str, order: int) -> dict[str, pd.Series]:
+    if table.empty:
+        return {}
+    own = table[(table["method"] == method) & (table["order"] == order)]
+    output = MEAN if (own["output"] == MEAN).any() else "y1"
+    return {str(row["split"]): row for _, row in own[own["output"] == output].iterrows()}
+
+
+def paper_comparison(results: Sequence[RunResult]) -> str:
+    """The paper's printed values beside ours ("" where the paper prints none for these runs).
+
+    The paper prints the best of ten seeds, chosen on test; ours is the median and the best chosen
+    on validation.
+    """
+    first = results[0].spec
+    printed = paper_table()
+    printed = printed[printed["dataset"] == first.dataset]
+    ours = summary(results)
+    if printed.empty or ours.empty or first.protocol != "paper":
+        return ""
+    merged = printed.merge(ours, how="left", on=["order", "method", "output", "split"])
+    rows = [
+        {
+            "order": row.order, "method": row.method, "output": row.output, "split": row.split,
+            "paper": number(row.rmse), "ours: median": number(row.median), "ours: best by validation": number(row.best),
+            "median to paper": f"{100 * (row.median / row.rmse - 1):+.0f} %" if pd.notna(row.median) else "–",
+        }
+        for row in merged.itertuples()
+    ]  # fmt: skip
+    return _markdown(rows)
+
+
+def _explanation(results: Sequence[RunResult]) -> str:
+    notes = list(dict.fromkeys(note for result in results for note in result.notes))
+    lines = [
+        "Free simulation from the first output sample, physical units. Statistics are over seeds; the best run "
+        "is chosen on validation, never on test. Every number is rebuilt from `runs/` by `nnss report`."
+    ]
+    return "\n\n".join(lines + [f"Note: {note}" for note in notes])
+
+
+def _markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
+    return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)

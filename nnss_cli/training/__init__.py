@@ -1,0 +1,1 @@
+"""How an NN-SS model is trained."""

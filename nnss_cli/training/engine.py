@@ -1,0 +1,100 @@
+"""What the training loop asks of an engine, and the plain one: the readable reference.
+
+Faster engines are checked against `ReferenceEngine`, so it stays close to the equations.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.modelfile import Tensors
+from nnss_cli.training.recipe import Recipe
+
+
+class Engine(Protocol):
+    """Holds the weights while they are trained."""
+
+    def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
+        """One Adam step on the windows of these indices; the loss before the step."""
+        ...
+
+    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        """Simulated outputs (K, m) of inputs (K, r) from a first output (m,), in normalised units."""
+        ...
+
+    def weights(self) -> Tensors:
+        """A copy of the weights, by the names of `NNSS.state_dict`."""
+        ...
+
+
+def training_loss(model: NNSS, u: Tensor, y: Tensor, consistency: float) -> Tensor:
+    """Response error plus λ times state consistency, in normalised units.
+
+        J = mean (y − ŷ)² + λ mean (x(k) − g(y(k)))²,   k ≥ 1 in the second term
+
+    Where y schedules, the first sample serves as previous output and the window starts at the
+    second, as in the released code.
+
+    Args:
+        model: the model.
+        u: inputs (b, L, r).
+        y: measured outputs (b, L, m).
+        consistency: λ.
+    """
+    y_previous = None
+    if "y" in model.architecture.scheduling:
+        y_previous, u, y = y[:, 0], u[:, 1:], y[:, 1:]
+    y_simulated, x = model(u, y[:, 0], y_previous)
+    response = (y_simulated - y).square().mean()
+    if consistency == 0:
+        return response
+    return response + consistency * (x[:, 1:] - model.encoder(y[:, 1:])).square().mean()
+
+
+class ReferenceEngine:
+    """torch, one operation after the other."""
+
+    def __init__(self, model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> None:
+        """Train `model` in place on windows u (N, L, r), y (N, L, m) in normalised units."""
+        self.model = model
+        self.recipe = recipe
+        self.u = torch.tensor(u, dtype=model.dtype)
+        self.y = torch.tensor(y, dtype=model.dtype)
+        self.optimiser = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
+
+    def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
+        """One Adam step; see `Engine`."""
+        chosen = torch.from_numpy(windows)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss = training_loss(self.model, self.u[chosen], self.y[chosen], self.recipe.consistency)
+        loss.backward()
+        # The released code corrects Adam's bias by the epoch's number instead of the step's.
+        for state in self.optimiser.state.values():
+            state["step"].fill_(epoch - 1)
+        self.optimiser.step()
+        return loss.item()
+
+    @torch.no_grad()
+    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        """Free simulation; see `Engine`."""
+        dtype = self.model.dtype
+        y, _ = self.model(torch.tensor(u, dtype=dtype)[None], torch.tensor(y0, dtype=dtype)[None])
+        return np.asarray(y[0].numpy(), dtype=np.float64)
+
+    def weights(self) -> Tensors:
+        """A copy of the weights; see `Engine`."""
+        return {name: parameter.detach().numpy().copy() for name, parameter in self.model.named_parameters()}
+
+
+def free_run_rmse(engine: Engine, records: tuple[Record, ...]) -> float:
+    """Root mean square error of free simulations over all samples and outputs, in normalised units."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = [(engine.free_run(record.u, record.y[0]) - record.y).ravel() for record in records]
+        return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))

@@ -1,0 +1,131 @@
+"""The training loop: shuffled mini-batches, a validation run each epoch, early stopping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from nnss_cli.datasets.record import FittingData
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
+from nnss_cli.training.recipe import Recipe
+from nnss_cli.training.windows import sliding_windows
+
+EpochCallback = Callable[[int, float, float], None]
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a training went."""
+
+    model: NNSS
+    """The model of the best validation epoch."""
+    epochs: int
+    """Epochs that were run."""
+    best_epoch: int
+    """Epoch of the model kept, from 1; 0 when none was finite."""
+    diverged: str = ""
+    """Why the training was given up, or ""."""
+    train_loss: list[float] = field(default_factory=list)
+    """Mean loss of each epoch."""
+    val_rmse: list[float] = field(default_factory=list)
+    """Validation error of each epoch: RMSE of a free run in normalised units."""
+
+
+@dataclass
+class EarlyStopping:
+    """Keep the best epoch; give up after `patience` epochs without a marked improvement.
+
+    An improvement resets the patience only if it is `improvement` (relative) below the error at
+    the last reset, as in the released code; the best epoch needs no such margin.
+    """
+
+    patience: int
+    improvement: float
+    best: float = math.inf
+    reference: float = math.inf
+    waited: int = 0
+
+    def is_best(self, error: float) -> bool:
+        """Take in one epoch's error; whether it is the lowest so far."""
+        if error <= (1 - self.improvement) * self.reference:
+            self.reference, self.waited = error, 0
+        else:
+            self.waited += 1
+        if error < self.best:
+            self.best = error
+            return True
+        return False
+
+    @property
+    def stop(self) -> bool:
+        """Whether patience has run out."""
+        return self.waited >= self.patience
+
+
+def named_random(seed: int, purpose: str) -> np.random.Generator:
+    """A generator that depends on the seed and the purpose's name, never on the order of use."""
+    return np.random.default_rng([seed, *purpose.encode()])
+
+
+def train_nnss(
+    data: FittingData, order: int, seed: int, recipe: Recipe, on_epoch: EpochCallback | None = None
+) -> Training:
+    """Train an NN-SS model.
+
+    Args:
+        data: train and validation records, physical units.
+        order: number of states n.
+        seed: of the initial weights and the shuffling.
+        recipe: architecture and training.
+        on_epoch: called after each epoch with its number, loss and validation error.
+
+    Raises:
+        InputError: the window is longer than the training record.
+    """
+    torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
+    scaling = data.scaling
+    train = tuple(scaling.apply(record) for record in data.train)
+    val = tuple(scaling.apply(record) for record in data.val)
+    u, y = sliding_windows(train, recipe.window, recipe.stride)
+
+    architecture = recipe.architecture(order, data.input_count, data.output_count)
+    model = NNSS(architecture, scaling, data.channels, data.Ts)
+    model.initialise(named_random(seed, "weights"))
+    engine = ReferenceEngine(model, u, y, recipe)
+
+    shuffling = named_random(seed, "shuffling")
+    stopping = EarlyStopping(recipe.patience, recipe.improvement)
+    kept, best_epoch, diverged = engine.weights(), 0, ""
+    losses: list[float] = []
+    errors: list[float] = []
+    # As in the released code, an incomplete last mini-batch is left out.
+    batches = max(1, len(u) // recipe.batch)
+    for epoch in range(1, recipe.epochs + 1):
+        shuffled = shuffling.permutation(len(u))
+        total = 0.0
+        for index in range(batches):
+            loss = engine.train_batch(shuffled[index * recipe.batch : (index + 1) * recipe.batch], epoch)
+            if not math.isfinite(loss):
+                diverged = f"the loss became {loss} in epoch {epoch}"
+                break
+            total += loss
+        if diverged:
+            break
+        losses.append(total / batches)
+        errors.append(free_run_rmse(engine, val))
+        if not math.isfinite(errors[-1]):
+            diverged = f"the validation error became {errors[-1]} in epoch {epoch}"
+            break
+        if stopping.is_best(errors[-1]):
+            kept, best_epoch = engine.weights(), epoch
+        if on_epoch:
+            on_epoch(epoch, losses[-1], errors[-1])
+        if stopping.stop:
+            break
+    model.load_state_dict({name: torch.from_numpy(array) for name, array in kept.items()}, strict=False)
+    return Training(model, len(losses), best_epoch, diverged, losses, errors)

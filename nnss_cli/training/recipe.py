@@ -1,0 +1,102 @@
+"""Recipes: every number that a training needs, per dataset and order."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.errors import InputError
+from nnss_cli.model.architecture import Architecture
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How an NN-SS model is built and trained. The defaults are those of the paper's code."""
+
+    hidden: tuple[int, ...] = (100,)
+    """Widths of the generator's sigmoid layers."""
+    encoder: tuple[int, ...] = (16, 16)
+    """Widths of the encoder's linear layers before its output."""
+    scheduling: str = "x"
+    """What the generator sees: x, x+u, x+y or x+u+y."""
+    gamma: float = 1.0
+    """Bound on the spectral radius of A(ρ)."""
+    epsilon: float = EPSILON
+    """Added to S in the Schur parametrisation."""
+    dtype: str = "float32"
+    """float32 or float64."""
+    window: int = 80
+    """Window length L, samples."""
+    stride: int = 2
+    """Samples between the starts of neighbouring windows."""
+    batch: int = 64
+    """Windows in a mini-batch."""
+    learning_rate: float = 1e-3
+    """Step size of Adam."""
+    consistency: float = 0.01
+    """Weight λ of the state-consistency term."""
+    epochs: int = 1000
+    """Epochs at most."""
+    patience: int = 400
+    """Epochs without a relative improvement of `improvement` before training stops."""
+    improvement: float = 0.05
+    """Relative improvement of the validation error that resets the patience."""
+
+    def __post_init__(self) -> None:
+        for name in ("window", "stride", "batch", "epochs", "patience"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
+        if self.window < 3:
+            raise InputError(f"window: expected at least 3 samples, found {self.window}")
+        if not self.learning_rate > 0 or self.consistency < 0:
+            raise InputError(
+                f"expected a positive learning rate and lambda ≥ 0, found {self.learning_rate} and {self.consistency}"
+            )
+
+    def architecture(self, order: int, inputs: int, outputs: int) -> Architecture:
+        """The model that this recipe trains.
+
+        Raises:
+            InputError: a width, gamma, epsilon, scheduling or dtype is out of range.
+        """
+        return Architecture(
+            order, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
+            self.scheduling, self.gamma, self.epsilon, self.dtype,
+        )  # fmt: skip
+
+    def replace(self, **changes: Any) -> Recipe:
+        """The recipe with what is not None in `changes`."""
+        return dataclasses.replace(self, **{name: value for name, value in changes.items() if value is not None})
+
+
+_TWO_TANK = Recipe()
+_ROBOT_ARM = Recipe(hidden=(150,) * 4, encoder=(64,) * 4, window=100, stride=5, batch=32)
+_POWER_PLANT = Recipe(hidden=(120,) * 4, encoder=(64,) * 4, window=100, stride=1, batch=1)
+
+# Widths, windows and batches as found in the models that the paper's authors released: they are
+# not all those of the paper's tables.
+_TWO_TANK_BY_ORDER = {
+    2: _TWO_TANK.replace(hidden=(100, 100), window=100, stride=5, batch=32),
+    3: _TWO_TANK,
+    4: _TWO_TANK.replace(hidden=(150,) * 3, encoder=(20, 20), window=100, stride=5, batch=32),
+}
+_PAPER: dict[str, dict[int, Recipe]] = {
+    "twotank": _TWO_TANK_BY_ORDER,
+    "twotank-sim": _TWO_TANK_BY_ORDER,
+    "robotarm": {4: _ROBOT_ARM, 5: _ROBOT_ARM, 6: _ROBOT_ARM.replace(hidden=(200,) * 4)},
+    "daisy-powerplant": {
+        3: _POWER_PLANT.replace(hidden=(100,) * 5),
+        4: _POWER_PLANT,
+        5: _POWER_PLANT.replace(hidden=(180,) * 5, encoder=(117,) * 4),
+    },
+}
+
+
+def paper_recipe(dataset: str, order: int) -> Recipe:
+    """The paper's recipe for a benchmark; at another order, that of the nearest one it has."""
+    by_order = _PAPER.get(dataset)
+    if by_order is None:
+        return Recipe()
+    return by_order[min(by_order, key=lambda known: (abs(known - order), known))]

@@ -1,0 +1,182 @@
+"""The command line as scripts use it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from nnss_cli.commands.variadic import expand
+from nnss_cli.version import __version__
+
+QUICK = ("--epochs", "1", "--window", "40", "--stride", "100", "--hidden", "5", "--encoder", "3")
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        ("x --orders 2 3 4 --seeds 1", "x --orders 2 --orders 3 --orders 4 --seeds 1"),
+        ("--orders 2 --orders 3", "--orders 2 --orders 3"),
+        ("--seeds 3 x --orders 2", "--seeds 3 x --orders 2"),
+        ("--orders -1 2", "--orders -1 --orders 2"),
+        ("--orders 2 -- x", "--orders 2 -- x"),
+        ("--orders", "--orders"),
+        ("--orders=2 x", "--orders=2 x"),
+    ],
+)
+def test_values_after_one_option_are_repeated(args: str, expected: str) -> None:
+    assert expand(args.split(), {"--orders"}) == expected.split()
+
+
+def test_version_and_help(nnss: Callable) -> None:
+    assert nnss("--version").out.strip() == f"nnss {__version__}"
+    for command in ("fetch", "train", "compare", "report"):
+        outcome = nnss(command, "--help")
+        assert outcome.code == 0
+        assert "Example: nnss " + command in " ".join(outcome.out.split())
+
+
+def test_python_dash_m() -> None:
+    done = subprocess.run([sys.executable, "-m", "nnss_cli", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"nnss {__version__}"
+
+
+def test_shell_completion() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "nnss_cli", "--show-completion", "bash"], capture_output=True, text=True, check=True,
+        env=os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"},
+    )  # fmt: skip
+    assert "complete" in done.stdout
+
+
+def test_fetch_list_all_and_from(nnss: Callable, mirror: Path) -> None:
+    listed = nnss("fetch", "--list").out
+    for name in ("twotank", "robotarm", "daisy-powerplant", "twotank-sim"):
+        assert name in listed
+    assert nnss("fetch", "--all", "--mirror", mirror, "--offline").code == 0
+    assert nnss("fetch", "daisy-powerplant", "--offline").code == 0
+    outcome = nnss("fetch", "twotank", "--from", mirror / "TwoTanksMatlab.mat")
+    assert outcome.code == 0
+    assert "twotank.mat" in outcome.out
+
+
+def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
+    outcome = nnss("train", "twotank-sim", "--order", "2", "--seed", "0", *QUICK)
+    assert outcome.code == 0, outcome.err
+    assert "test" in outcome.out
+    run = Path("results/twotank-sim/paper/runs/nnss-n2-s0/run.json")
+    before = run.stat().st_mtime_ns
+    outcome = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "2", *QUICK, "--jobs", "1")
+    assert outcome.code == 0, outcome.err
+    assert "2 runs to do, 1 done already" in outcome.out
+    assert run.stat().st_mtime_ns == before
+    table = pd.read_csv("results/twotank-sim/paper/rmse.csv")
+    assert set(table["method"]) == {"nnss", "n4sid"}
+    assert set(table.loc[table["method"] == "nnss", "seed"]) == {0, 1}
+    assert nnss("report").code == 0
+    assert json.loads(run.read_text())["provenance"]["nnss"] == __version__
+    assert not list(Path("results").rglob(".tmp-*"))
+
+
+def test_repeated_orders_and_methods(nnss: Callable) -> None:
+    outcome = nnss(
+        "compare", "twotank-sim", "--orders", "1", "--orders", "2", "--methods", "n4sid", "--out", "elsewhere"
+    )
+    assert outcome.code == 0, outcome.err
+    assert set(pd.read_csv("elsewhere/twotank-sim/paper/rmse.csv")["order"]) == {1, 2}
+    assert not Path("elsewhere/twotank-sim/paper/states.png").exists()  # no NN-SS run, no states
+
+
+def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirror: Path) -> None:
+    outcome = nnss("compare", "robotarm", "--orders", "4", "--methods", "n4sid", "--mirror", mirror, "--offline")
+    assert outcome.code == 0, outcome.err
+    assert "lacks the paper's test record" in outcome.out
+    assert set(pd.read_csv("results/robotarm/paper/rmse.csv")["split"]) == {"train", "val"}
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["train", "nothing", "--order", "2"], ["unknown dataset 'nothing'", "twotank", "robotarm"]),
+        (["fetch", "nothing"], ["unknown dataset 'nothing'", "daisy-powerplant"]),
+        (["fetch"], ["--all"]),
+        (["compare", "twotank-sim", "--methods", "magic"], ["unknown method 'magic'", "nnss", "n4sid"]),
+        (["compare", "twotank-sim", "--protocol", "lax"], ["unknown protocol 'lax'", "paper, strict"]),
+        (["compare", "twotank-sim", "--sedes", "1"], ["--sedes", "--seeds"]),
+        (["compaer"], ["compaer", "compare"]),
+        (["compare", "twotank-sim", "--orders", "two"], ["two", "--orders"]),
+        (["compare", "twotank-sim", "--orders", "0"], ["order", "found 0"]),
+        (["compare", "twotank-sim", "--orders", "-3"], ["order", "found -3"]),
+        (["compare", "twotank-sim", "--orders", "100000"], ["order", "expected 1 to 500"]),
+        (["compare", "twotank-sim", "--seeds", "0"], ["--seeds", "at least 1"]),
+        (["compare", "twotank-sim", "--jobs", "0"], ["--jobs", "at least 1"]),
+        (["compare", "twotank-sim", "--epochs", "0"], ["epochs", "at least 1"]),
+        (["compare", "twotank-sim", "--window", "2000"], ["window", "1500 samples"]),
+        (["train", "twotank-sim", "--order", "2", "--window", "1501"], ["window", "1500 samples"]),
+        (["train", "twotank-sim", "--order", "2", "--scheduling", "y"], ["unknown scheduling 'y'", "x+u"]),
+        (["train", "twotank-sim", "--order", "2", "--gamma", "2"], ["gamma"]),
+        (["train", "twotank-sim", "--order", "2", "--dtype", "half"], ["unknown dtype", "float64"]),
+        (["train", "twotank-sim"], ["--order"]),
+        (["train", "twotank-sim", "--order", "2", "--seed", "-1"], ["--seed"]),
+        (["train", "twotank", "--order", "2", "--offline"], ["twotank", "--from FILE", "--mirror"]),
+        (["report", "--out", "nowhere"], ["no finished runs", "compare"]),
+        (["fetch", "twotank", "robotarm", "--from", "x.mat"], ["exactly one"]),
+        (["fetch", "twotank", "--from", "missing.mat"], ["missing.mat"]),
+        (["fetch", "twotank-sim", "--from", "x.mat"], ["simulated"]),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line_and_exit_code_2(
+    args: list[str], words: list[str], nnss: Callable, own_cache: Path
+) -> None:
+    outcome = nnss(*args)
+    assert outcome.code == 2
+    assert len(outcome.err.strip().splitlines()) == 1, outcome.err
+    assert "Traceback" not in outcome.err
+    for word in words:
+        assert word in outcome.err
+    assert not list(Path().rglob("*")), "nothing half-written"
+    assert not own_cache.exists()
+
+
+def test_a_file_in_the_way_of_the_results(nnss: Callable) -> None:
+    Path("results").write_text("in the way")
+    outcome = nnss("compare", "twotank-sim", "--methods", "n4sid", "--orders", "2")
+    assert outcome.code == 2
+    assert "results" in outcome.err
+    assert "--out" in outcome.err
+    assert Path("results").read_text() == "in the way"
+
+
+def test_a_truncated_file_is_refused(nnss: Callable, mirror: Path, tmp_path: Path, own_cache: Path) -> None:
+    half = tmp_path / "half.mat"
+    half.write_bytes((mirror / "RobotArm.mat").read_bytes()[:100_000])
+    outcome = nnss("fetch", "robotarm", "--from", half)
+    assert outcome.code == 2
+    assert "half.mat" in outcome.err
+    assert not own_cache.exists()
+
+
+def test_ctrl_c_keeps_finished_runs_and_says_how_to_go_on(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "nnss_cli", "compare", "twotank-sim", "--orders", "2", "--seeds", "3",
+        "--methods", "n4sid", "nnss", "--epochs", "100000", "--patience", "100000", "--jobs", "2",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finished = tmp_path / "results/twotank-sim/paper/runs/n4sid-n2-s0/run.json"
+    deadline = time.monotonic() + 60
+    while not finished.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "interrupted: finished runs are kept" in err
+    assert "the same command goes on" in err
+    assert "Traceback" not in err
+    assert finished.exists()
+    assert not list(tmp_path.rglob("nnss-n2-*/run.json"))

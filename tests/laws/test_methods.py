@@ -1,0 +1,96 @@
+"""What every method must obey, whatever it is: adding one to the registry adds it here."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nnss_cli.datasets.record import Dataset, FittingData
+
+from nnss_cli.methods import METHODS, Fit, load_model
+
+SMALL = {
+    "hidden": (6,), "encoder": (3,), "window": 12, "stride": 4, "batch": 4, "epochs": 3, "dtype": "float64",
+}  # fmt: skip
+
+pytestmark = pytest.mark.parametrize("name", METHODS)
+
+
+def fit(name: str, dataset: Dataset, order: int = 2, seed: int = 0) -> Fit:
+    method = METHODS[name]
+    return method.fit(dataset.fitting, order, seed, method.settings(dataset.fitting, order, SMALL), None)
+
+
+@pytest.mark.parametrize(("r", "m"), [(1, 1), (2, 1), (1, 2), (2, 3)])
+def test_shapes_units_and_finiteness(name: str, r: int, m: int, small_data: Callable) -> None:
+    dataset = small_data(r, m, K=450)
+    model = fit(name, dataset).model
+    assert model is not None
+    record = dataset.test[0]
+    simulation = model.simulate(record.u, record.y[0])
+    assert simulation.y.shape == record.y.shape
+    assert simulation.x.shape == (len(record), 2)
+    assert np.isfinite(simulation.y).all()
+    assert model.Ts == record.Ts
+    assert len(model.channels.outputs) == m
+
+
+def test_fitting_is_deterministic_and_changes_nothing(name: str, small_data: Callable) -> None:
+    dataset = small_data(K=300)
+    before = dataset.fingerprint()
+    record = dataset.test[0]
+    first, second = (fit(name, dataset, seed=5).model.simulate(record.u, record.y[0]).y for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert dataset.fingerprint() == before
+
+
+def test_the_result_does_not_depend_on_earlier_seeds(name: str, small_data: Callable) -> None:
+    dataset = small_data(K=300)
+    record = dataset.test[0]
+    alone = fit(name, dataset, seed=2).model.simulate(record.u, record.y[0]).y
+    fit(name, dataset, seed=1)
+    np.testing.assert_array_equal(fit(name, dataset, seed=2).model.simulate(record.u, record.y[0]).y, alone)
+
+
+def test_simulation_is_causal(name: str, small_data: Callable) -> None:
+    dataset = small_data(K=300)
+    model = fit(name, dataset).model
+    record = dataset.test[0]
+    u = record.u.copy()
+    plain = model.simulate(u, record.y[0])
+    u[30:] += 10.0
+    changed = model.simulate(u, record.y[0])
+    np.testing.assert_array_equal(changed.y[:30], plain.y[:30])
+    np.testing.assert_array_equal(changed.x[:31], plain.x[:31])
+    assert not np.allclose(changed.y[30:], plain.y[30:])
+
+
+def test_saved_and_loaded_it_simulates_bit_identically(name: str, small_data: Callable, tmp_path: Path) -> None:
+    dataset = small_data(2, 2, K=450)
+    model = fit(name, dataset).model
+    model.save(tmp_path)
+    again = load_model(tmp_path)
+    record = dataset.test[0]
+    np.testing.assert_array_equal(again.simulate(record.u, record.y[0]).y, model.simulate(record.u, record.y[0]).y)
+
+
+def test_the_scale_of_the_record_does_not_matter(name: str, small_data: Callable) -> None:
+    """Volts or millivolts: the simulated output is the same signal."""
+    from dataclasses import replace
+
+    from nnss_cli.datasets.record import Record, Scaling
+
+    dataset = small_data(K=300)
+    train, val, test = (
+        tuple(Record(1000 * r.u + 5, 0.01 * r.y - 3, r.Ts) for r in records) for records in dataset.splits().values()
+    )
+    other = Dataset(replace(dataset.fitting, train=train, val=val, scaling=Scaling.of(train)), test)
+    record, scaled = dataset.test[0], test[0]
+    y = fit(name, dataset).model.simulate(record.u, record.y[0]).y
+    y_other = fit(name, other).model.simulate(scaled.u, scaled.y[0]).y
+    np.testing.assert_allclose((y_other + 3) / 0.01, y, rtol=1e-6, atol=1e-6)
+
+
+def test_fitting_data_holds_no_test_record(name: str) -> None:
+    del name
+    assert "test" not in FittingData.__dataclass_fields__

@@ -1,0 +1,119 @@
+"""The shape of the code: who may import whom, what is loaded when, what is installed."""
+
+import ast
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
+# Each may import what stands before it, and itself.
+LAYERS = [
+    "version", "errors", "files", "modelfile", "datasets", "baselines", "model", "training", "methods",
+    "experiment", "report", "commands", "app", "__main__",
+]  # fmt: skip
+
+
+def layer_of(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else "version"
+
+
+def sources() -> list[tuple[str, Path]]:
+    found = [
+        (path.relative_to(ROOT / "nnss_cli").parts[0].removesuffix(".py"), path)
+        for path in (ROOT / "nnss_cli").rglob("*.py")
+    ]
+    found += [(name, path) for name, folder in FOLDERS.items() for path in folder.rglob("*.py")]
+    return [(layer, path) for layer, path in found if layer != "__init__"]
+
+
+def imports(path: Path) -> list[str]:
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
+
+
+@pytest.mark.parametrize(("layer", "path"), sources(), ids=lambda value: getattr(value, "name", value))
+def test_imports_run_one_way(layer: str, path: Path) -> None:
+    for name in imports(path):
+        if name.split(".")[0] == "nnss_cli":
+            used = layer_of(name)
+            assert LAYERS.index(used) <= LAYERS.index(layer), f"{path} ({layer}) imports {name} ({used})"
+
+
+def test_modules_of_a_layer_do_not_import_each_other_in_a_circle() -> None:
+    def module_name(layer: str, path: Path) -> str:
+        base = FOLDERS.get(layer, ROOT / "nnss_cli")
+        inner = ".".join(path.relative_to(base).with_suffix("").parts)
+        return f"nnss_cli.{layer}.{inner}" if layer in FOLDERS else f"nnss_cli.{inner}"
+
+    graph = {module_name(layer, path): set(imports(path)) for layer, path in sources()}
+    graph = {name: {m for m in graph for i in used if i == m or i.startswith(f"{m}.")} for name, used in graph.items()}
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, f"circle: {' -> '.join((*trail, name))}"
+        if name not in done:
+            for used in graph[name] - {name}:
+                visit(used, (*trail, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())
+
+
+def test_commands_hold_no_numerics_and_report_no_torch() -> None:
+    for layer, path in sources():
+        roots = {name.split(".")[0] for name in imports(path)}
+        if layer == "commands":
+            assert not roots & {"numpy", "scipy", "torch", "pandas", "control"}, path
+        if layer == "report":
+            assert "torch" not in roots, path
+        assert not roots & {"pickle", "joblib", "dill", "shelve"}, f"{path}: files are data, never code"
+
+
+def loaded_by(*args: str) -> set[str]:
+    code = (
+        f"import sys; sys.argv[1:] = {list(args)!r}\n"
+        "try:\n    from nnss_cli.app import main; main()\nexcept SystemExit: pass\n"
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT.parent)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("args", [("--help",), ("compare", "--help"), ("--version",)])
+def test_help_loads_nothing_heavy(args: tuple[str, ...]) -> None:
+    assert not loaded_by(*args) & {"torch", "matplotlib", "scipy", "pandas"}
+
+
+def test_report_loads_no_torch(tmp_path: Path) -> None:
+    assert "torch" not in loaded_by("report", "--out", str(tmp_path))
+
+
+def test_wheel_installs_only_the_package(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, ROOT],
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names} == {"nnss_cli", wheel.name.rsplit("-py3", 1)[0] + ".dist-info"}
+    built = {name for name in names if name.endswith(".py")}
+    for layer, path in sources():
+        inside = (
+            f"nnss_cli/{layer}/{path.relative_to(FOLDERS[layer])}" if layer in FOLDERS else str(path.relative_to(ROOT))
+        )
+        assert inside in built, inside
+    assert "nnss_cli/report/paper_tables.csv" in names
+    assert "nnss_cli/py.typed" in names
