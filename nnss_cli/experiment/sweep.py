@@ -127,7 +127,7 @@ def sweep(
         KeyboardInterrupt: finished runs stay, the others are missing.
         InputError: a worker process was killed from outside.
     """
-    if jobs == 1 or len(specs) == 1:
+    if jobs == 1 or len(specs) <= 1:
         for spec in specs:
             on_result(_reported(spec, dataset, store, on_event))
         return

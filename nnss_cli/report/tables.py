@@ -9,7 +9,7 @@ from tabulate import tabulate
 
 from nnss_cli.datasets.record import SPLITS
 from nnss_cli.experiment.run import RunResult
-from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, summary
+from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, scored_split, summary
 
 SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
@@ -66,6 +66,7 @@ def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
     """A short table: medians of all splits, the test error of the best run; mean over outputs."""
     table = summary(results)
     methods = methods_of(results)
+    shown_split = scored_split(results)
     rows = []
     for order in sorted({r.spec.order for r in results}):
         for method in methods:
@@ -77,8 +78,10 @@ def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
             cells = _cells(table, method, order)
             for split in SPLITS:
                 row[split] = number(cells[split]["median"]) if split in cells else "–"
-            shown = cells.get("test", cells.get("val"))
-            row["q1–q3"] = f"{number(shown['q1'])}–{number(shown['q3'])}" if shown is not None and ok > 1 else "–"
+            shown = cells.get(shown_split)
+            row[f"{shown_split} q1–q3"] = (
+                f"{number(shown['q1'])}–{number(shown['q3'])}" if shown is not None and ok > 1 else "–"
+            )
             row["best by val."] = number(shown["best"]) if shown is not None else "–"
             rows.append(row)
     return rows

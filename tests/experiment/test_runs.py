@@ -61,6 +61,7 @@ def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(tmp_path: Pa
     assert run_all(one, seeds=2) == 0
     assert run_all(one, seeds=3) == 1
     assert run_all(two, seeds=3, jobs=2) == 4
+    assert run_all(two, seeds=3, jobs=2) == 0
     assert scores_of(one) == scores_of(two)
 
 
