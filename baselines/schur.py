@@ -33,8 +33,10 @@ def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -
     """W (2n, 2n) and V (n, n) with `schur_matrix(W, V)` = A, in closed form.
 
     With P from γ²P − A P Aᵀ = I, the matrix S = c [[γ²P, AP], [PAᵀ, P]] is positive definite and
-    gives M = c P, S12 = c A P, V = 0, hence A. The factor c makes λmin(S) = 2ε, so that
-    W = chol(S − εI)ᵀ exists.
+    gives M = c P, S12 = c A P, V = 0, hence A. Any c with λmin(S) > ε will do, for W = chol(S − εI)ᵀ
+    to exist; the one taken makes the mean of S's diagonal 2, as SIMBa's random W has it, unless a
+    larger one is needed. With the smallest possible c an optimiser's first steps would be far
+    larger than W itself and lose the start.
 
     Args:
         A: matrix (n, n) with ρ(A) < γ.
@@ -51,5 +53,5 @@ def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -
     P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(n)) / gamma**2
     S = np.block([[gamma**2 * P, A @ P], [P @ A.T, P]])
     S = (S + S.T) / 2
-    S *= 2 * epsilon / np.linalg.eigvalsh(S)[0]
+    S *= max(2 * epsilon / np.linalg.eigvalsh(S)[0], 4 * n / np.trace(S))
     return np.linalg.cholesky(S - epsilon * np.eye(2 * n)).T, np.zeros((n, n))

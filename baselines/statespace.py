@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from nnss_cli.datasets.record import FloatArray
+import scipy.linalg
+from nnss_cli.datasets.record import FloatArray, Record
 from numpy.typing import NDArray
 
 
@@ -120,6 +121,45 @@ class LinearStateSpace:
         """Largest modulus of a pole; the system is stable below 1."""
         return float(np.abs(self.poles()).max())
 
+    def dc_gain(self) -> FloatArray:
+        """Steady-state gain C (I − A)⁻¹ B + D (m, r); inf for a system with a pole at 1."""
+        try:
+            return self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B) + self.D
+        except np.linalg.LinAlgError:
+            return np.full(self.D.shape, np.inf)
+
+    def gramians(self) -> tuple[FloatArray, FloatArray]:
+        """Controllability and observability Gramians: P = A P Aᵀ + B Bᵀ, Q = Aᵀ Q A + Cᵀ C.
+
+        Raises:
+            ValueError: the system is not stable.
+        """
+        if self.spectral_radius() >= 1:
+            raise ValueError(f"expected a stable system, found spectral radius {self.spectral_radius():.6g}")
+        P = scipy.linalg.solve_discrete_lyapunov(self.A, self.B @ self.B.T)
+        Q = scipy.linalg.solve_discrete_lyapunov(self.A.T, self.C.T @ self.C)
+        return P, Q
+
+    def hankel_singular_values(self) -> FloatArray:
+        """Square roots of the eigenvalues of P Q, largest first (n,): how much each state matters."""
+        return balancing(*self.gramians())[2]
+
+    def balanced_truncation(self, order: int) -> LinearStateSpace:
+        """The `order` states with the largest Hankel singular values, balanced.
+
+        Source: B. C. Moore, IEEE TAC 26(1), 1981, by the square-root method of Laub et al., 1987.
+        """
+        T, T_inverse, _ = balancing(*self.gramians())
+        left, right = T[:order], T_inverse[:, :order]
+        return LinearStateSpace(left @ self.A @ right, left @ self.B, self.C @ right, self.D, self.Ts)
+
+    def initial_state(self, record: Record) -> FloatArray:
+        """x0 (n,) that fits a record's outputs best in least squares."""
+        free = propagate(self.A, np.zeros((self.order, len(record), self.order)), np.eye(self.order))[:, :-1]
+        forced, _ = self.simulate(record.u, np.zeros(self.order))
+        regressor = (free @ self.C.T).reshape(self.order, -1).T
+        return np.asarray(np.linalg.lstsq(regressor, (record.y - forced).ravel(), rcond=None)[0])
+
     def to_control(self) -> Any:
         """The model as a python-control StateSpace."""
         import control
@@ -137,3 +177,27 @@ class LinearStateSpace:
             raise ValueError("expected a discrete-time system, found continuous time: sample it first")
         A, B, C, D = (np.asarray(M, dtype=np.float64) for M in (system.A, system.B, system.C, system.D))
         return cls(A, B, C, D, float(system.dt))
+
+
+def balancing(P: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """T, T⁻¹ and σ with T P Tᵀ = T⁻ᵀ Q T⁻¹ = diag(σ), from Gramians P and Q."""
+
+    def root(M: FloatArray) -> FloatArray:
+        values, vectors = np.linalg.eigh((M + M.T) / 2)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
+
+    R, L = root(P), root(Q)
+    U, sigma, Vt = np.linalg.svd(L.T @ R)
+    scale = 1 / np.sqrt(np.maximum(sigma, sigma[0] * np.finfo(float).eps ** 2 + np.finfo(float).tiny))
+    return (scale[:, None] * U.T) @ L.T, R @ Vt.T * scale, sigma
+
+
+def simulation_rms(model: LinearStateSpace, records: tuple[Record, ...]) -> float:
+    """Root mean square error of free simulations from C⁺(y0 − D u0), over all samples and outputs."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = [
+            model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0] - record.y
+            for record in records
+        ]
+        error = float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+    return error if np.isfinite(error) else float("inf")

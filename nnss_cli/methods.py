@@ -5,16 +5,19 @@ To add one, write a class like `N4SID` below and put an instance into `METHODS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Record, Simulation
 from nnss_cli.errors import InputError, unknown
+from nnss_cli.iterative import EpochCallback
+
+if TYPE_CHECKING:
+    from nnss_cli.baselines.statespace import LinearStateSpace
 
 Settings = dict[str, Any]
-EpochCallback = Callable[[int, float, float], None]
 
 
 class Model(Protocol):
@@ -74,6 +77,20 @@ class Method(Protocol):
         ...
 
 
+def check_window(window: int, data: FittingData) -> None:
+    """Refuse a window that no training record can fill.
+
+    Raises:
+        InputError: it is longer than the longest of them.
+    """
+    longest = max(len(record) for record in data.train)
+    if window > longest:
+        raise InputError(
+            f"window: expected at most the {longest} samples of {data.dataset}'s training record, "
+            f"found {window}; use --window"
+        )
+
+
 class NNSS:
     """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`."""
 
@@ -88,12 +105,7 @@ class NNSS:
         changes = {name: value for name, value in overrides.items() if name in own}
         recipe = paper_recipe(data.dataset, order).replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
-        longest = max(len(record) for record in data.train)
-        if recipe.window > longest:
-            raise InputError(
-                f"window: expected at most the {longest} samples of {data.dataset}'s training record, "
-                f"found {recipe.window}; use --window"
-            )
+        check_window(recipe.window, data)
         return asdict(recipe)
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
@@ -110,29 +122,121 @@ class NNSS:
         )
 
 
+HORIZONS = ("matlab", "auto")
+
+
+def chosen_horizon(data: FittingData, overrides: Settings) -> str:
+    """matlab under protocol paper, which repeats the paper's tables; auto elsewhere; or what the user says."""
+    name = str(overrides.get("horizon", "matlab" if data.protocol == "paper" else "auto"))
+    if name not in HORIZONS:
+        raise unknown("horizon", name, HORIZONS)
+    return name
+
+
+def normalised(data: FittingData) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    """Train and validation records in normalised units."""
+    scale = data.scaling.apply
+    return tuple(scale(record) for record in data.train), tuple(scale(record) for record in data.val)
+
+
+def subspace_model(data: FittingData, order: int, horizon: str) -> LinearStateSpace:
+    """N4SID in normalised units, with MATLAB's horizons or those that validate best."""
+    from nnss_cli.baselines.n4sid import n4sid, n4sid_auto
+
+    train, val = normalised(data)
+    return n4sid(train, order) if horizon == "matlab" else n4sid_auto(train, val, order)[0]
+
+
 class N4SID:
-    """Subspace identification with MATLAB's horizons; see `nnss_cli.baselines.n4sid`."""
+    """Subspace identification; see `nnss_cli.baselines.n4sid`."""
 
     name = "n4sid"
     seeded = False
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
-        """The horizons."""
-        from nnss_cli.baselines.n4sid import matlab_horizon
-
-        future, past = matlab_horizon(order, data.input_count, data.output_count)
-        return {"future": future, "past": past}
+        """How the horizons are chosen."""
+        return {"horizon": chosen_horizon(data, overrides)}
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
-        """Identify a linear model in normalised units."""
+        """Identify a linear model."""
         from nnss_cli.baselines.linear_model import LinearModel
-        from nnss_cli.baselines.n4sid import n4sid
 
-        records = tuple(data.scaling.apply(record) for record in data.train)
-        return Fit(LinearModel.of(n4sid(records, order), data))
+        return Fit(LinearModel.of(subspace_model(data, order, settings["horizon"]), data))
 
 
-METHODS: dict[str, Method] = {method.name: method for method in (NNSS(), N4SID())}
+class SSEST:
+    """Prediction-error minimisation; see `nnss_cli.baselines.ssest`."""
+
+    name = "ssest"
+    seeded = False
+
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """Whether D is estimated."""
+        return {"feedthrough": bool(overrides.get("feedthrough", False))}
+
+    def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
+        """Refine subspace models to convergence."""
+        from nnss_cli.baselines.linear_model import LinearModel
+        from nnss_cli.baselines.ssest import ssest
+
+        train, val = normalised(data)
+        return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"]), data))
+
+
+class SSREGEST:
+    """Regularised ARX, reduced; see `nnss_cli.baselines.ssregest`."""
+
+    name = "ssregest"
+    seeded = False
+
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """The kernel."""
+        from nnss_cli.baselines.ssregest import KERNELS
+
+        kernel = str(overrides.get("kernel", "tc"))
+        if kernel not in KERNELS:
+            raise unknown("kernel", kernel, KERNELS)
+        return {"kernel": kernel}
+
+    def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
+        """Identify a linear model."""
+        from nnss_cli.baselines.linear_model import LinearModel
+        from nnss_cli.baselines.ssregest import ssregest
+
+        train, _ = normalised(data)
+        return Fit(LinearModel.of(ssregest(train, order, settings["kernel"]), data))
+
+
+class SIMBa:
+    """A stable linear model trained by gradient; see `nnss_cli.baselines.simba`."""
+
+    name = "simba"
+    seeded = True
+
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """The windows and steps of the paper's recipe, with the user's changes, and the start."""
+        from nnss_cli.baselines.simba import SimbaOptions
+        from nnss_cli.training.recipe import paper_recipe
+
+        recipe = asdict(paper_recipe(data.dataset, order))
+        own = {f.name for f in fields(SimbaOptions)}
+        options = SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
+        check_window(options.window, data)
+        return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
+
+    def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
+        """Train a linear model."""
+        from nnss_cli.baselines.linear_model import LinearModel
+        from nnss_cli.baselines.simba import SimbaOptions, train_simba
+
+        options = SimbaOptions(**{name: value for name, value in settings.items() if name != "horizon"})
+        start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
+        training = train_simba(*normalised(data), order, seed, options, start, on_epoch)
+        model = None if training.diverged else LinearModel.of(training.system, data)
+        return Fit(model, training.epochs, training.diverged, training.history)
+
+
+METHODS: dict[str, Method] = {method.name: method for method in (NNSS(), SIMBa(), N4SID(), SSEST(), SSREGEST())}
 
 
 def select(names: Sequence[str]) -> list[Method]:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 # Each may import what stands before it, and itself.
 LAYERS = [
-    "version", "errors", "files", "modelfile", "datasets", "baselines", "model", "training", "methods",
+    "version", "errors", "files", "modelfile", "iterative", "datasets", "baselines", "model", "training", "methods",
     "experiment", "report", "commands", "app", "__main__",
 ]  # fmt: skip
 

@@ -44,6 +44,10 @@ def command(
     gamma: opt.Gamma = None,
     epsilon: opt.Epsilon = None,
     dtype: opt.Dtype = None,
+    horizon: opt.HorizonChoice = None,
+    kernel: opt.KernelChoice = None,
+    simba_start: opt.SimbaStart = None,
+    feedthrough: opt.Feedthrough = False,
 ) -> None:
     """Run methods × orders × seeds, keep every run, and write the table and the figures.
 
@@ -71,7 +75,8 @@ def command(
     changes = opt.overrides(
         epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
         consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
-        epsilon=epsilon, dtype=dtype,
+        epsilon=epsilon, dtype=dtype, horizon=horizon, kernel=kernel, start=simba_start,
+        feedthrough=feedthrough or None,
     )  # fmt: skip
     todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes, force)
     require_writable(store.folder)

@@ -54,6 +54,23 @@ Gamma = Annotated[float | None, _training("--gamma", "Bound on the spectral radi
 Epsilon = Annotated[float | None, _training("--eps", "Added to S in the Schur parametrisation.", "ε")]
 Dtype = Annotated[str | None, _training("--dtype", "Precision.", "float32|float64")]
 
+_BASELINES = "Baselines"
+
+
+def _baseline(name: str, help_text: str, metavar: str) -> Any:
+    return typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=_BASELINES, show_default=False)
+
+
+HorizonChoice = Annotated[
+    str | None,
+    _baseline("--horizon", "Horizons of N4SID: MATLAB's (default of protocol paper), or searched.", "matlab|auto"),
+]
+KernelChoice = Annotated[str | None, _baseline("--kernel", "Prior of SSREGEST (default tc).", "tc|dc|ss")]
+SimbaStart = Annotated[str | None, _baseline("--simba-start", "Where SIMBa starts (default n4sid).", "n4sid|random")]
+Feedthrough = Annotated[
+    bool, typer.Option("--feedthrough", help="SSEST estimates D as well.", rich_help_panel=_BASELINES)
+]
+
 
 def overrides(**values: Any) -> dict[str, Any]:
     """What the user has set, with lists as tuples; None means the recipe's value."""

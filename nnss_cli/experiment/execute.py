@@ -14,7 +14,8 @@ from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
-from nnss_cli.methods import METHODS, EpochCallback, Fit, Model
+from nnss_cli.iterative import EpochCallback
+from nnss_cli.methods import METHODS, Fit, Model
 from nnss_cli.modelfile import Tensors
 from nnss_cli.version import __version__
 

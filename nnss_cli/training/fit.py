@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 
 from nnss_cli.datasets.record import FittingData
+from nnss_cli.datasets.windows import sliding_windows
+from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.windows import sliding_windows
-
-EpochCallback = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True)
@@ -34,42 +31,6 @@ class Training:
     """Mean loss of each epoch."""
     val_rmse: list[float] = field(default_factory=list)
     """Validation error of each epoch: RMSE of a free run in normalised units."""
-
-
-@dataclass
-class EarlyStopping:
-    """Keep the best epoch; give up after `patience` epochs without a marked improvement.
-
-    An improvement resets the patience only if it is `improvement` (relative) below the error at
-    the last reset, as in the released code; the best epoch needs no such margin.
-    """
-
-    patience: int
-    improvement: float
-    best: float = math.inf
-    reference: float = math.inf
-    waited: int = 0
-
-    def is_best(self, error: float) -> bool:
-        """Take in one epoch's error; whether it is the lowest so far."""
-        if error <= (1 - self.improvement) * self.reference:
-            self.reference, self.waited = error, 0
-        else:
-            self.waited += 1
-        if error < self.best:
-            self.best = error
-            return True
-        return False
-
-    @property
-    def stop(self) -> bool:
-        """Whether patience has run out."""
-        return self.waited >= self.patience
-
-
-def named_random(seed: int, purpose: str) -> np.random.Generator:
-    """A generator that depends on the seed and the purpose's name, never on the order of use."""
-    return np.random.default_rng([seed, *purpose.encode()])
 
 
 def train_nnss(

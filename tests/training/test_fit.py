@@ -8,9 +8,10 @@ import pytest
 import torch
 from nnss_cli.datasets import twotank
 
+from nnss_cli.iterative import EarlyStopping, named_random
 from nnss_cli.model.architecture import SCHEDULING
 from nnss_cli.training.engine import ReferenceEngine, training_loss
-from nnss_cli.training.fit import EarlyStopping, named_random, train_nnss
+from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, paper_recipe
 
 QUICK = Recipe(hidden=(6,), encoder=(3,), window=10, stride=3, batch=4, epochs=5, dtype="float64")

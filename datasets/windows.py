@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
 from nnss_cli.datasets.record import FloatArray, Record
+
 from nnss_cli.errors import InputError
 
 

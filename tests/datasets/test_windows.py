@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from nnss_cli.datasets import robotarm, simulated, twotank
 from nnss_cli.datasets.record import Record
+from nnss_cli.datasets.windows import sliding_windows
 
 from nnss_cli.errors import InputError
 from nnss_cli.training.recipe import paper_recipe
-from nnss_cli.training.windows import sliding_windows
 
 
 def test_the_papers_window_counts(mirror: Path) -> None:

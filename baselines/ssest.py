@@ -1,0 +1,308 @@
+"""Prediction-error minimisation of the simulated error in data-driven local coordinates.
+
+    min over (A, B, C, G[, D]) of  Σ_k |y(k) − ŷ(k)|²   (trace criterion)   or   K log det Λ   (several outputs)
+
+for x(k+1) = A x + B u, ŷ = C x + D u, x(0) = G (y(0) − D u(0)). A model is scored from
+x(0) = C⁺ (y(0) − D u(0)), so G takes the place of a free x(0): with C G = I there is a basis in
+which C⁺ = G, and the scored initial state is the fitted one.
+
+A full parametrisation has n² directions that only change the basis; each step is taken in the
+orthogonal complement of these. Sources: L. Ljung, "System Identification", 2nd ed., 1999,
+chapters 7 and 10; T. McKelvey, A. Helmersson and T. Ribarits, "Data driven local coordinates for
+multivariable linear systems", Automatica 40(9), 2004.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
+from nnss_cli.baselines.statespace import LinearStateSpace, propagate, simulation_rms
+from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
+from nnss_cli.datasets.record import FloatArray, Record
+
+Criterion: TypeAlias = Literal["trace", "det"]
+
+CONSTRAINT = 1e3  # weight of C G = I against residuals of about one deviation
+STARTS = 3  # candidates of the subspace grid that are refined, besides MATLAB's
+TOLERANCE = 1e-3  # relative: an optimum counts as no worse than that of MATLAB's start
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """One point of the search."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    G: FloatArray
+    D: FloatArray
+
+    def vector(self, feedthrough: bool) -> FloatArray:
+        parts = [self.A, self.B, self.C, self.G] + [self.D] * feedthrough
+        return np.concatenate([part.ravel() for part in parts])
+
+    def moved(self, step: FloatArray) -> _Point:
+        parts, start = [], 0
+        for part in (self.A, self.B, self.C, self.G, self.D):
+            taken = step[start : start + part.size]
+            start += part.size
+            parts.append(part + taken.reshape(part.shape) if len(taken) else part)
+        return _Point(*parts)
+
+    def basis_directions(self, feedthrough: bool) -> FloatArray:
+        """Columns: how the parameters move when the state's basis does (n² of them)."""
+        n = len(self.A)
+        columns = []
+        for i in range(n):
+            for j in range(n):
+                T = np.zeros((n, n))
+                T[i, j] = 1
+                parts = [T @ self.A - self.A @ T, T @ self.B, -self.C @ T, T @ self.G]
+                parts += [np.zeros_like(self.D)] * feedthrough
+                columns.append(np.concatenate([part.ravel() for part in parts]))
+        return np.array(columns).T
+
+
+@dataclass
+class _Problem:
+    """Residuals and their derivatives for given records and criterion."""
+
+    records: tuple[Record, ...]
+    criterion: Criterion
+    feedthrough: bool
+    noise: float  # deviation of the residuals that the prior on G is weighed against
+
+    def residuals(self, point: _Point) -> FloatArray | None:
+        """y − ŷ of all records (K, m); None for an unstable point."""
+        if np.abs(np.linalg.eigvals(point.A)).max() >= 1:
+            return None
+        parts = []
+        for record in self.records:
+            x0 = point.G @ (record.y[0] - point.D @ record.u[0])
+            x = propagate(point.A, record.u @ point.B.T, x0)[:-1]
+            parts.append(record.y - x @ point.C.T - record.u @ point.D.T)
+        e = np.concatenate(parts)
+        return e if np.isfinite(e).all() else None
+
+    def value(self, e: FloatArray, point: _Point) -> float:
+        """Criterion plus constraint and prior."""
+        extra = float(np.sum(self._extra(point) ** 2))
+        if self.criterion == "trace":
+            return float(np.sum(e**2)) + extra
+        covariance = e.T @ e / len(e)
+        floor = np.finfo(float).tiny * np.eye(len(covariance))
+        return len(e) * float(np.linalg.slogdet(covariance + floor)[1]) + extra
+
+    def _extra(self, point: _Point) -> FloatArray:
+        """Rows for C G = I, and the prior: a unit output tells of states of unit size, not of huge ones."""
+        scale = self.noise if self.criterion == "trace" else 1.0
+        constraint = CONSTRAINT * scale * (point.C @ point.G - np.eye(len(point.C)))
+        return np.concatenate([constraint.ravel(), scale * point.G.ravel()])
+
+    def _extra_jacobian(self, point: _Point) -> FloatArray:
+        n, m = point.G.shape
+        scale = self.noise if self.criterion == "trace" else 1.0
+        zero = np.zeros((m * m + n * m, point.A.size + point.B.size))
+        d_C = CONSTRAINT * scale * np.kron(np.eye(m), point.G.T)
+        d_G = CONSTRAINT * scale * np.kron(point.C, np.eye(m))
+        first = np.concatenate([d_C, d_G], axis=1)
+        second = np.concatenate([np.zeros((n * m, m * n)), scale * np.eye(n * m)], axis=1)
+        parts = [zero, np.concatenate([first, second])]
+        if self.feedthrough:
+            parts.append(np.zeros((len(zero), point.D.size)))
+        return np.concatenate(parts, axis=1)
+
+    def linearise(self, point: _Point, e: FloatArray, Q: FloatArray) -> FloatArray:
+        """R of [J Q, e], rows weighted by the criterion."""
+        W = (inverse_root(e) if self.criterion == "det" else None) if len(point.C) > 1 else None
+        weight = np.eye(len(point.C)) if W is None else W
+
+        def rows() -> Iterator[FloatArray]:
+            for J, residual in self._sensitivities(point):
+                projected = np.tensordot(J, Q, axes=(0, 0))  # (k, m, P')
+                block = np.concatenate([projected, residual[:, :, None]], axis=2)
+                yield np.einsum("ab,kbp->kap", weight, block).reshape(-1, block.shape[2])
+            yield np.concatenate([self._extra_jacobian(point) @ Q, -self._extra(point)[:, None]], axis=1)
+
+        return triangularise(rows())
+
+    def _sensitivities(self, point: _Point) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """∂ŷ/∂θ (P, k, m) and y − ŷ (k, m), block by block.
+
+        Each parameter drives the same recursion: ∂x(k+1) = A ∂x(k) + ∂A x(k) + ∂B u(k), so all of
+        them are propagated side by side.
+        """
+        n, m = point.G.shape
+        r = point.B.shape[1]
+        driven = n * (n + r)
+        for record in self.records:
+            v = record.y[0] - point.D @ record.u[0]
+            x = point.G @ v
+            # initial sensitivities: none for A and B; ∂x0/∂G_ij = e_i v_j; ∂x0/∂D_ij = −G e_i u0_j
+            dx = [np.zeros((driven, n)), np.einsum("ij,b->ibj", np.eye(n), v).reshape(n * m, n)]
+            if self.feedthrough:
+                dx.append(-np.einsum("ji,b->ibj", point.G, record.u[0]).reshape(m * r, n))
+            state = np.concatenate(dx)
+            for start in range(0, len(record), BLOCK):
+                u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
+                k = len(y)
+                path = propagate(point.A, u @ point.B.T, x)
+                signals = np.concatenate([path[:-1], u], axis=1).T  # (n + r, k)
+                w = np.zeros((len(state), k, n))
+                for i in range(n):
+                    w[i * (n + r) : (i + 1) * (n + r), :, i] = signals
+                moving = propagate(point.A, w, state)
+                outputs = moving[:, :-1] @ point.C.T
+                ab = outputs[:driven].reshape(n, n + r, k, m)
+                d_C = np.zeros((m, n, k, m))
+                for i in range(m):
+                    d_C[i, :, :, i] = path[:-1].T
+                parts = [
+                    ab[:, :n].reshape(n * n, k, m), ab[:, n:].reshape(n * r, k, m), d_C.reshape(m * n, k, m),
+                    outputs[driven : driven + n * m],
+                ]  # fmt: skip
+                if self.feedthrough:
+                    d_D = outputs[driven + n * m :].reshape(m, r, k, m).copy()
+                    for i in range(m):
+                        d_D[i, :, :, i] += u.T
+                    parts.append(d_D.reshape(m * r, k, m))
+                yield np.concatenate(parts), y - path[:-1] @ point.C.T - u @ point.D.T
+                x, state = path[-1], moving[:, -1]
+
+
+def refine(
+    start: LinearStateSpace,
+    records: tuple[Record, ...],
+    criterion: Criterion = "trace",
+    feedthrough: bool = False,
+    iterations: int = 100,
+    tolerance: float = 1e-7,
+) -> LinearStateSpace:
+    """Levenberg–Marquardt from `start`, in a basis in which C⁺ gives the fitted initial state.
+
+    Args:
+        start: a stable model, in the units of the records.
+        records: experiments.
+        criterion: trace, or det for several outputs.
+        feedthrough: estimate D as well; else it stays that of `start`.
+        iterations: at most.
+        tolerance: relative decrease of the criterion below which it has converged.
+
+    Returns:
+        A model whose criterion is not above that of `start` (with its initial state fitted).
+    """
+    point = _normalised(start, records)
+    problem = _Problem(records, criterion, feedthrough, np.inf)
+    e = problem.residuals(point)
+    if e is None:
+        return start
+    # The prior on G is weighed against the residuals: as these fall, so does its weight.
+    while 0 < (noise := float(np.sqrt(np.mean(e**2)))) < 0.5 * problem.noise:
+        problem.noise = noise
+        point, e = _levenberg_marquardt(problem, point, e, iterations, tolerance)
+    return _scored_basis(point, start.Ts)
+
+
+def _levenberg_marquardt(
+    problem: _Problem, point: _Point, e: FloatArray, iterations: int, tolerance: float
+) -> tuple[_Point, FloatArray]:
+    """Descend from `point` with residuals `e` until the criterion falls by less than `tolerance`."""
+    value = problem.value(e, point)
+    damping = 1e-3
+    for _ in range(iterations):
+        U, s, _ = np.linalg.svd(point.basis_directions(problem.feedthrough))
+        Q = U[:, int(np.sum(s > 1e-10 * s[0])) :]
+        R = problem.linearise(point, e, Q)
+        P = Q.shape[1]
+        left, singular, right = np.linalg.svd(R[:P, :P])
+        target = left.T @ R[:P, P]
+        accepted = None
+        for _ in range(30):
+            step = right.T @ (singular * target / (singular**2 + damping * singular[0] ** 2))
+            candidate = point.moved(Q @ step)
+            moved = problem.residuals(candidate)
+            if moved is not None and (lower := problem.value(moved, candidate)) < value:
+                accepted = candidate, moved, lower
+                break
+            damping = max(damping, 1e-16) * 4
+        if accepted is None:
+            break
+        # log det has no scale of its own: its decrease is compared with the number of samples
+        scale = abs(value) if problem.criterion == "trace" else len(e)
+        gain = (value - accepted[2]) / max(scale, np.finfo(float).tiny)
+        point, e, value = accepted
+        damping = max(damping / 6, 1e-16)
+        if gain < tolerance:
+            break
+    return point, e
+
+
+def _normalised(start: LinearStateSpace, records: tuple[Record, ...]) -> _Point:
+    """`start` in a basis of unit state covariance, with G the best linear guess Σ Cᵀ (C Σ Cᵀ)⁻¹."""
+    states = np.concatenate([start.simulate(record.u, start.initial_state(record))[1] for record in records])
+    values, vectors = np.linalg.eigh(states.T @ states / len(states))
+    root = np.sqrt(np.maximum(values, values[-1] * 1e-10 + np.finfo(float).tiny))
+    model = start.transform((vectors / root).T)
+    return _Point(model.A, model.B, model.C, np.linalg.pinv(model.C), model.D)
+
+
+def _scored_basis(point: _Point, Ts: float) -> LinearStateSpace:
+    """The basis in which C⁺ = G: the columns of G and of the kernel of C become orthogonal."""
+    m, n = point.C.shape
+    model = LinearStateSpace(point.A, point.B, point.C, point.D, Ts)
+    if m >= n:
+        return model
+    kernel = np.linalg.svd(point.C)[2][m:].T
+    # exact C G = I; the constraint has brought it close
+    G = point.G @ np.linalg.inv(point.C @ point.G)
+    return model.transform(np.linalg.inv(np.concatenate([G, kernel], axis=1)))
+
+
+def ssest(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, feedthrough: bool = False
+) -> LinearStateSpace:
+    """Refine several subspace models to convergence and choose one on validation.
+
+    Started from MATLAB's n4sid and from the best of the grid of horizons by training error, with
+    both criteria where there are several outputs. An optimum is eligible if its criterion is not above
+    the one that MATLAB's start leads to; among these, validation decides, so that neither the fit
+    is given up nor an overfitted optimum taken.
+
+    Args:
+        train: experiments, in normalised units.
+        val: validation experiments.
+        order: number of states n.
+        feedthrough: estimate D as well.
+
+    Raises:
+        InputError: the records are too short for the order.
+    """
+    candidates = n4sid_candidates(train, order)
+    matlab = matlab_horizon(order, train[0].input_count, train[0].output_count)
+    ranked = sorted(candidates, key=lambda pair: simulation_rms(pair[1], train))
+    # MATLAB's first, where the data allow its horizon: what it converges to is the bar for the others.
+    starts = [model for horizon, model in candidates if horizon == matlab] + [model for _, model in ranked[:STARTS]]
+    criteria: tuple[Criterion, ...] = ("trace", "det") if train[0].output_count > 1 else ("trace",)
+    eligible = []
+    for criterion in criteria:
+        optima = [refine(start, train, criterion, feedthrough) for start in starts]
+        values = [criterion_value(model, train, criterion) for model in optima]
+        bar = values[0] + TOLERANCE * (abs(values[0]) if criterion == "trace" else 1.0)
+        eligible += [model for model, value in zip(optima, values, strict=True) if value <= bar]
+    return min(eligible, key=lambda model: simulation_rms(model, val))
+
+
+def criterion_value(model: LinearStateSpace, records: tuple[Record, ...], criterion: Criterion) -> float:
+    """trace or log det of the residual covariance of scored simulations."""
+    e = np.concatenate(
+        [
+            record.y - model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0]
+            for record in records
+        ]
+    )
+    covariance = e.T @ e / len(e)
+    return float(np.trace(covariance) if criterion == "trace" else np.linalg.slogdet(covariance)[1])

@@ -1,0 +1,48 @@
+"""What iterative fits share: seeded streams by name, and early stopping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+EpochCallback = Callable[[int, float, float], None]
+"""Called after each epoch with its number, training loss and validation error."""
+
+
+@dataclass
+class EarlyStopping:
+    """Keep the best epoch; give up after `patience` epochs without a marked improvement.
+
+    An improvement resets the patience only if it is `improvement` (relative) below the error at
+    the last reset, as in the released code; the best epoch needs no such margin.
+    """
+
+    patience: int
+    improvement: float
+    best: float = math.inf
+    reference: float = math.inf
+    waited: int = 0
+
+    def is_best(self, error: float) -> bool:
+        """Take in one epoch's error; whether it is the lowest so far."""
+        if error <= (1 - self.improvement) * self.reference:
+            self.reference, self.waited = error, 0
+        else:
+            self.waited += 1
+        if error < self.best:
+            self.best = error
+            return True
+        return False
+
+    @property
+    def stop(self) -> bool:
+        """Whether patience has run out."""
+        return self.waited >= self.patience
+
+
+def named_random(seed: int, purpose: str) -> np.random.Generator:
+    """A generator that depends on the seed and the purpose's name, never on the order of use."""
+    return np.random.default_rng([seed, *purpose.encode()])

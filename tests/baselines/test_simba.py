@@ -1,0 +1,83 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from nnss_cli.baselines.n4sid import n4sid
+from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.baselines.simba import SimbaOptions, initial_parameters, loss_and_gradient, train_simba
+from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
+from nnss_cli.datasets.record import Record
+
+from nnss_cli.errors import InputError
+from nnss_cli.model.schur import schur_matrix
+
+QUICK = SimbaOptions(window=20, stride=5, batch=8, epochs=60, learning_rate=3e-3)
+
+
+def plain_torch_loss(p: dict[str, torch.Tensor], u: torch.Tensor, y: torch.Tensor, gamma: float) -> torch.Tensor:
+    """The equations one sample after the other: the second implementation."""
+    A = schur_matrix(p["W"], p["V"], gamma, EPSILON)
+    x = (y[:, 0] - u[:, 0] @ p["D"].T) @ torch.linalg.pinv(p["C"]).T
+    total = torch.zeros((), dtype=torch.float64)
+    for k in range(u.shape[1]):
+        total = total + (x @ p["C"].T + u[:, k] @ p["D"].T - y[:, k]).square().sum()
+        x = x @ A.T + u[:, k] @ p["B"].T
+    return total / y.numel()
+
+
+@pytest.mark.parametrize(("n", "r", "m", "L"), [(1, 1, 1, 5), (3, 1, 1, 80), (2, 2, 3, 10), (4, 5, 3, 70)])
+@pytest.mark.parametrize("gamma", [1.0, 0.9])
+def test_gradients_agree_with_autograd(n: int, r: int, m: int, L: int, gamma: float) -> None:
+    random = np.random.default_rng(n)
+    parameters = initial_parameters(None, n, r, m, gamma, random)
+    u, y = random.standard_normal((6, L, r)), random.standard_normal((6, L, m))
+    loss, gradient = loss_and_gradient(parameters, u, y, gamma)
+    tensors = {name: torch.tensor(value, requires_grad=True) for name, value in parameters.items()}
+    reference = plain_torch_loss(tensors, torch.tensor(u), torch.tensor(y), gamma)
+    reference.backward()
+    assert loss == pytest.approx(reference.item(), rel=1e-12)
+    for name, tensor in tensors.items():
+        scale = tensor.grad.abs().max().item()
+        np.testing.assert_allclose(gradient[name], tensor.grad.numpy(), atol=1e-10 * max(scale, 1e-3), err_msg=name)
+
+
+def data(system: Callable, noise: float = 0.05) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    plant = LinearStateSpace(*system(2, 1, 1, seed=3, radius=0.8), 1.0)
+    random = np.random.default_rng(0)
+    records = []
+    for K in (300, 150):
+        u = random.standard_normal((K, 1))
+        y, _ = plant.simulate(u, np.zeros(2))
+        records.append(Record(u, y + noise * random.standard_normal(y.shape), 1.0))
+    return (records[0],), (records[1],)
+
+
+def test_it_starts_exactly_at_the_given_model(system: Callable) -> None:
+    train, _ = data(system)
+    start = n4sid(train, 2)
+    parameters = initial_parameters(start, 2, 1, 1, 1.0, np.random.default_rng(0))
+    A = schur_matrix(torch.tensor(parameters["W"]), torch.tensor(parameters["V"])).numpy()
+    np.testing.assert_allclose(A, start.A, atol=1e-10)
+
+
+@pytest.mark.parametrize("random_start", [False, True])
+def test_training_lowers_the_loss_and_stays_stable(system: Callable, random_start: bool) -> None:
+    train, val = data(system)
+    start = None if random_start else n4sid(train, 2)
+    fit = train_simba(train, val, 2, 0, QUICK, start)
+    assert fit.history["train_loss"][-1] < fit.history["train_loss"][0]
+    assert fit.system.spectral_radius() < 1
+    assert simulation_rms(fit.system, val) == pytest.approx(min(fit.history["val_rmse"]), rel=1e-12)
+
+
+def test_a_start_on_the_unit_circle_is_drawn_inside() -> None:
+    start = LinearStateSpace(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
+    parameters = initial_parameters(start, 1, 1, 1, 1.0, np.random.default_rng(0))
+    assert np.isfinite(parameters["W"]).all()
+
+
+@pytest.mark.parametrize("bad", [{"start": "zero"}, {"epochs": 0}, {"learning_rate": 0.0}, {"gamma": 2.0}])
+def test_bad_options_are_refused(bad: dict) -> None:
+    with pytest.raises(InputError):
+        SimbaOptions(**bad)
