@@ -73,6 +73,19 @@ def ssregest(
     Raises:
         InputError: the records are too short for the order.
     """
+    full = high_order_model(records, order, kernel, lags)
+    reduced = full.balanced_truncation(order)
+    B, _ = fit_input_matrix(reduced.A, reduced.C, records)
+    return LinearStateSpace(reduced.A, B, reduced.C, reduced.D, reduced.Ts)
+
+
+def high_order_model(
+    records: tuple[Record, ...], order: int = 1, kernel: Kernel = "tc", lags: int | None = None
+) -> LinearStateSpace:
+    """The regularised ARX model of order p·m in state space, before reduction.
+
+    Its Hankel singular values tell how many states the data call for. Arguments and errors as in `ssregest`.
+    """
     r, m = records[0].input_count, records[0].output_count
     samples = sum(len(record) for record in records)
     p = lags or max(default_lags(samples, r + m), -(-order // m) + 1)
@@ -84,10 +97,7 @@ def ssregest(
     # per output the rows are the same: regressors first, all outputs behind
     R = triangularise(_regression(records, p))
     theta = np.stack([_posterior_mean(R, output, m, p, r, kernel, samples - p * len(records)) for output in range(m)])
-    full = _arx_to_state_space(theta, m, r, p, records[0].Ts)
-    reduced = full.balanced_truncation(order)
-    B, _ = fit_input_matrix(reduced.A, reduced.C, records)
-    return LinearStateSpace(reduced.A, B, reduced.C, reduced.D, reduced.Ts)
+    return _arx_to_state_space(theta, m, r, p, records[0].Ts)
 
 
 def _regression(records: tuple[Record, ...], p: int) -> Iterator[FloatArray]:
@@ -159,4 +169,5 @@ def _arx_to_state_space(theta: FloatArray, m: int, r: int, p: int, Ts: float) ->
     stable = reflect_unstable(A)
     # a pole on the circle has no Gramian
     radius = np.abs(np.linalg.eigvals(stable)).max()
-    return LinearStateSpace(stable * min(1.0, (1 - 1e-9) / radius), B, C, np.zeros((m, r)), Ts)
+    inside = min(1.0, (1 - 1e-9) / radius) if radius > 0 else 1.0
+    return LinearStateSpace(stable * inside, B, C, np.zeros((m, r)), Ts)

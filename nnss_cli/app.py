@@ -13,7 +13,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import typer
 
-from nnss_cli.commands import compare, fetch, report, train
+from nnss_cli.commands import compare, fetch, order, report, train
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.version import __version__
@@ -30,6 +30,7 @@ for _name, _module, _example in (
     ("fetch", fetch, "nnss fetch daisy-powerplant    nnss fetch twotank --from twotankdata.mat"),
     ("train", train, "nnss train twotank --order 3 --seed 0"),
     ("compare", compare, "nnss compare twotank --orders 2 3 4 --seeds 10 --methods nnss n4sid"),
+    ("order", order, "nnss order twotank --max-order 8"),
     ("report", report, "nnss report --out results"),
 ):
     app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(_module.command)

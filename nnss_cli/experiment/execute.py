@@ -11,7 +11,6 @@ from importlib import metadata
 import numpy as np
 
 from nnss_cli.datasets.record import Dataset
-from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
 from nnss_cli.iterative import EpochCallback
@@ -33,7 +32,7 @@ def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallba
         fit = METHODS[spec.method].fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
         if fit.diverged:
             status, reason = "diverged", fit.diverged
-    except (InputError, np.linalg.LinAlgError) as error:
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # singular, too short, out of range
         status, reason = "failed", " ".join(str(error).split())
     fit_seconds = time.perf_counter() - started
     if fit.model is not None:

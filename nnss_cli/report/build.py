@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
@@ -75,6 +77,23 @@ def write_report(out: Path) -> Path:
     path = out / "report.md"
     write_text(path, "\n\n".join(parts) + "\n")
     return path
+
+
+def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str) -> list[Path]:
+    """Write order.csv and order.png of an order selection."""
+    table = pd.DataFrame([vars(row) | {"suggested": row.order == chosen} for row in rows])
+    write_text(folder / "order.csv", table.to_csv(index=False, lineterminator="\n"))
+    figure = figures.draw_orders(
+        [row.order for row in rows],
+        [row.hankel for row in rows],
+        [row.train for row in rows],
+        [row.val for row in rows],
+        chosen,
+        title,
+    )
+    figures.save_figure(figure, folder / "order.png")
+    figures.close_figure(figure)
+    return [folder / "order.csv", folder / "order.png"]
 
 
 def _section(store: Store, files: Sequence[Path], out: Path) -> str:

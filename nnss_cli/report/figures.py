@@ -215,6 +215,46 @@ def draw_states(
     return figure
 
 
+def draw_orders(
+    orders: Sequence[int],
+    hankel: Sequence[float],
+    train: Sequence[float | None],
+    val: Sequence[float | None],
+    chosen: int,
+    title: str,
+) -> Figure:
+    """Hankel singular values and errors by order, the suggested order marked.
+
+    Args:
+        orders: model orders.
+        hankel: relative Hankel singular value of each.
+        train: training error of each, normalised; None where there is no model.
+        val: validation error of each.
+        chosen: the suggested order.
+        title: of the figure.
+    """
+    with plt.rc_context(STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
+        left.bar(orders, hankel, color="0.55", edgecolor="black", width=0.7)
+        left.set_yscale("log")
+        left.set_ylabel("Hankel singular value, relative [–]")
+        curves = ((train, "training", "s", (0, (4, 2)), "0.45"), (val, "validation", "o", "-", "#0072B2"))
+        for errors, label, marker, line, colour in curves:
+            known = [(order, error) for order, error in zip(orders, errors, strict=True) if error is not None]
+            right.plot(
+                *zip(*known, strict=True), color=colour, linestyle=line, marker=marker, markersize=4, label=label
+            )
+        right.set_ylabel("RMSE/σ of the simulation [–]")
+        right.set_ylim(bottom=0)
+        right.axvline(chosen, color="black", linewidth=0.8, linestyle=":", label=f"suggested: {chosen}")
+        right.legend()
+        for panel in (left, right):
+            panel.set_xlabel("order n")
+            panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        figure.suptitle(title, fontsize=9)
+    return figure
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure atomically and close it; equal figures give equal files."""
     metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}

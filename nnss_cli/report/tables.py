@@ -8,6 +8,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.record import SPLITS
+from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, scored_split, summary
 
@@ -96,6 +97,19 @@ def score_rows(result: RunResult) -> list[dict[str, str]]:
         }
         for score in result.scores
     ]  # fmt: skip
+
+
+def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
+    """Order selection as text, the suggested order marked."""
+    return [
+        {
+            "order": f"{row.order}{' ←' if row.order == chosen else ''}",
+            "Hankel σn/σ1": f"{row.hankel:.2e}",
+            "train": number(row.train),
+            "validation": number(row.val),
+        }
+        for row in rows
+    ]
 
 
 def _cells(table: pd.DataFrame, method: str, order: int) -> dict[str, pd.Series]:

@@ -107,13 +107,13 @@ def test_slicot_finds_the_same_system(system: Callable, n: int, r: int, m: int) 
     plant = LinearStateSpace(*system(n, r, m, seed=20 + n, radius=0.8), 1.0)
     (record,) = experiments(plant, 1, 4000, seed=1, noise=0.01)
     blocks = 2 * n
-    u, y = np.asfortranarray(record.u), np.asfortranarray(record.y)
+    u, y = np.array(record.u, order="F"), np.array(record.y, order="F")
     _, R, _, _, info = ctrlsys.ib01ad("M", "Q", "N", "O", "N", "N", blocks, r, m, u, y, 0.0, -1.0)
     assert info == 0
     A, C, *_, info = ctrlsys.ib01bd("M", "C", "N", blocks, n, r, m, len(record), R, 0.0)
     assert info == 0
     empty = np.zeros((n, r), order="F"), np.zeros((m, r), order="F")
-    u, y = np.asfortranarray(record.u), np.asfortranarray(record.y)  # the routines overwrite their inputs
+    u, y = np.array(record.u, order="F"), np.array(record.y, order="F")  # the routines overwrite their inputs
     _, B, D, *_, info = ctrlsys.ib01cd("X", "C", "D", n, r, m, A.copy("F"), empty[0], C.copy("F"), empty[1], u, y, 0.0)
     assert info == 0
     slicot = LinearStateSpace(np.array(A), np.array(B), np.array(C), np.array(D), 1.0)

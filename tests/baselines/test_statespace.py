@@ -60,3 +60,32 @@ def test_an_unstable_system_overflows_quietly() -> None:
 def test_shapes_are_checked() -> None:
     with pytest.raises(ValueError, match="expected shapes"):
         LinearStateSpace(np.eye(2), np.ones((3, 1)), np.ones((1, 2)), np.zeros((1, 1)), 1.0)
+
+
+def test_gains_and_hankel_singular_values_agree_with_python_control(system: Callable) -> None:
+    model = LinearStateSpace(*system(4, 2, 3, 7), 0.1)
+    np.testing.assert_allclose(model.dc_gain(), control.dcgain(model.to_control()), rtol=1e-9)
+    P, Q = model.gramians()
+    np.testing.assert_allclose(model.A @ P @ model.A.T - P + model.B @ model.B.T, 0, atol=1e-8)
+    expected = np.sqrt(np.sort(np.linalg.eigvals(P @ Q).real)[::-1])
+    np.testing.assert_allclose(model.hankel_singular_values(), expected, rtol=1e-8)
+    integrator = LinearStateSpace(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
+    assert np.isinf(integrator.dc_gain()).all()
+    with pytest.raises(ValueError, match="stable"):
+        integrator.gramians()
+
+
+def test_balanced_truncation_keeps_what_matters(system: Callable) -> None:
+    model = LinearStateSpace(*system(6, 2, 2, 8, radius=0.7), 1.0)
+    full = model.balanced_truncation(6)
+    np.testing.assert_allclose(full.markov(15), model.markov(15), atol=1e-9)
+    P, Q = full.gramians()
+    np.testing.assert_allclose(P, Q, atol=1e-7 * P.max())
+    reduced = model.balanced_truncation(3)
+    omitted = model.hankel_singular_values()[3:].sum()
+    for frequency in np.linspace(0, np.pi, 50):  # the error bound: twice the sum of what was left out
+
+        def response(m: LinearStateSpace, z: complex = np.exp(1j * frequency)) -> np.ndarray:
+            return m.C @ np.linalg.solve(z * np.eye(m.order) - m.A, m.B)
+
+        assert np.linalg.norm(response(model) - response(reduced), 2) <= 2 * omitted * (1 + 1e-9)

@@ -36,7 +36,7 @@ def test_values_after_one_option_are_repeated(args: str, expected: str) -> None:
 
 def test_version_and_help(nnss: Callable) -> None:
     assert nnss("--version").out.strip() == f"nnss {__version__}"
-    for command in ("fetch", "train", "compare", "report"):
+    for command in ("fetch", "train", "compare", "order", "report"):
         outcome = nnss(command, "--help")
         assert outcome.code == 0
         assert "Example: nnss " + command in " ".join(outcome.out.split())
@@ -74,10 +74,10 @@ def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     before = run.stat().st_mtime_ns
     outcome = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "2", *QUICK, "--jobs", "1")
     assert outcome.code == 0, outcome.err
-    assert "2 runs to do, 1 done already" in outcome.out
+    assert "6 runs to do, 1 done already" in outcome.out
     assert run.stat().st_mtime_ns == before
     table = pd.read_csv("results/twotank-sim/paper/rmse.csv")
-    assert set(table["method"]) == {"nnss", "n4sid"}
+    assert list(dict.fromkeys(table["method"])) == ["n4sid", "nnss", "simba", "ssest", "ssregest"]
     assert set(table.loc[table["method"] == "nnss", "seed"]) == {0, 1}
     assert nnss("report").code == 0
     assert json.loads(run.read_text())["provenance"]["nnss"] == __version__
@@ -91,6 +91,16 @@ def test_repeated_orders_and_methods(nnss: Callable) -> None:
     assert outcome.code == 0, outcome.err
     assert set(pd.read_csv("elsewhere/twotank-sim/paper/rmse.csv")["order"]) == {1, 2}
     assert not Path("elsewhere/twotank-sim/paper/states.png").exists()  # no NN-SS run, no states
+
+
+def test_order_selection(nnss: Callable) -> None:
+    outcome = nnss("order", "twotank-sim", "--max-order", "4")
+    assert outcome.code == 0, outcome.err
+    assert "Suggested order:" in outcome.out
+    table = pd.read_csv("results/twotank-sim/paper/order.csv")
+    assert list(table["order"]) == [1, 2, 3, 4]
+    assert table["suggested"].sum() == 1
+    assert Path("results/twotank-sim/paper/order.png").stat().st_size > 10_000
 
 
 def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirror: Path) -> None:
@@ -115,6 +125,10 @@ def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirr
         (["compare", "twotank-sim", "--orders", "-3"], ["order", "found -3"]),
         (["compare", "twotank-sim", "--orders", "100000"], ["order", "expected 1 to 500"]),
         (["compare", "twotank-sim", "--seeds", "0"], ["--seeds", "at least 1"]),
+        (["compare", "twotank-sim", "--horizon", "far"], ["unknown horizon 'far'", "matlab, auto"]),
+        (["compare", "twotank-sim", "--kernel", "rbf"], ["unknown kernel 'rbf'", "tc, dc, ss"]),
+        (["compare", "twotank-sim", "--simba-start", "zero"], ["start of simba", "n4sid, random"]),
+        (["order", "twotank-sim", "--max-order", "0"], ["--max-order", "at least 1"]),
         (["compare", "twotank-sim", "--jobs", "0"], ["--jobs", "at least 1"]),
         (["compare", "twotank-sim", "--epochs", "0"], ["epochs", "at least 1"]),
         (["compare", "twotank-sim", "--window", "2000"], ["window", "1500 samples"]),

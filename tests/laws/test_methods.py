@@ -94,3 +94,35 @@ def test_the_scale_of_the_record_does_not_matter(name: str, small_data: Callable
 def test_fitting_data_holds_no_test_record(name: str) -> None:
     del name
     assert "test" not in FittingData.__dataclass_fields__
+
+
+NASTY = {
+    "zero input": lambda k: (0 * k, np.sin(k)),
+    "constant output": lambda k: (np.sin(k), 0 * k + 2),
+    "everything constant": lambda k: (0 * k + 1, 0 * k + 1),
+    "ramp": lambda k: (k, k),
+    "unstable": lambda k: (np.sin(k), np.exp(k / 8)),
+    "sinusoid": lambda k: (np.sin(k), np.cos(k)),
+}
+
+
+@pytest.mark.parametrize("kind", NASTY)
+@pytest.mark.parametrize("K", [13, 200])
+def test_singular_and_short_problems_end_as_a_row_with_a_reason(name: str, kind: str, K: int, tmp_path: Path) -> None:
+    from nnss_cli.datasets.record import Channels, Record, Scaling
+
+    from nnss_cli.experiment.execute import execute
+    from nnss_cli.experiment.run import RunSpec
+    from nnss_cli.experiment.store import Store
+
+    u, y = NASTY[kind](np.arange(float(K)))
+    records = (Record(u, y, 1.0),)
+    channels = Channels(("u",), ("y",), ("V",), ("m",))
+    dataset = Dataset(FittingData("nasty", "strict", records, records, Scaling.of(records), channels), records)
+    spec = RunSpec("nasty", "strict", name, 3, 0, METHODS[name].settings(dataset.fitting, 3, SMALL), "0")
+    result = execute(spec, dataset, Store(tmp_path, "nasty", "strict"))
+    if result.status == "ok":
+        assert all(np.isfinite(score.rmse) for score in result.scores)
+    else:
+        assert result.reason
+        assert not result.scores

@@ -1,0 +1,58 @@
+"""Order selection: what the data say before a model is trained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nnss_cli.baselines.n4sid import n4sid_auto
+from nnss_cli.baselines.ssregest import high_order_model
+from nnss_cli.baselines.statespace import simulation_rms
+from nnss_cli.datasets.record import FittingData
+from nnss_cli.errors import InputError
+from nnss_cli.methods import normalised
+
+MARGIN = 1.05  # an order is good enough when its validation error is within 5 % of the lowest
+
+
+@dataclass(frozen=True)
+class OrderRow:
+    """What is known about one order."""
+
+    order: int
+    """Number of states n."""
+    hankel: float
+    """n-th Hankel singular value of a regularised high-order model, relative to the first."""
+    train: float | None
+    """Training error of N4SID (horizons searched): RMS over samples and outputs, normalised units."""
+    val: float | None
+    """Validation error, likewise; None where the data are too short for the order."""
+
+
+def order_table(data: FittingData, largest: int) -> list[OrderRow]:
+    """Hankel singular values and errors for the orders 1 … `largest`.
+
+    Raises:
+        InputError: the records are too short for any model.
+    """
+    train, val = normalised(data)
+    full = high_order_model(train)
+    sigma = full.hankel_singular_values()
+    rows = []
+    for order in range(1, min(largest, len(sigma)) + 1):
+        try:
+            model, _ = n4sid_auto(train, val, order)
+            errors: tuple[float | None, float | None] = simulation_rms(model, train), simulation_rms(model, val)
+        except InputError:
+            errors = None, None
+        rows.append(OrderRow(order, float(sigma[order - 1] / sigma[0]), *errors))
+    if all(row.val is None for row in rows):
+        raise InputError(f"the training record of {data.dataset} is too short to identify a model of any order")
+    return rows
+
+
+def suggest_order(rows: Sequence[OrderRow]) -> int:
+    """The lowest order whose validation error is within 5 % of the lowest of all."""
+    valid = [(row.order, row.val) for row in rows if row.val is not None]
+    lowest = min(val for _, val in valid)
+    return next(order for order, val in valid if val <= MARGIN * lowest)
