@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Annotated, Any
 
-# Tiny matrices: more BLAS threads only slow a process down, and workers would fight over the
-# cores. It must be set before numpy is loaded, so before anything else of this package.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
+from nnss_cli.machine import prepare
+
+prepare()  # before anything loads numpy
 
 import typer
 

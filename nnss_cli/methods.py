@@ -72,6 +72,10 @@ class Method(Protocol):
         """
         ...
 
+    def prepare(self, settings: Settings) -> None:
+        """Do once what is no part of a fit's time: compile, import."""
+        ...
+
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Fit a model. `data` holds no test record."""
         ...
@@ -107,6 +111,13 @@ class NNSS:
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(recipe.window, data)
         return asdict(recipe)
+
+    def prepare(self, settings: Settings) -> None:
+        """Compile the fast engine, or read it from numba's cache."""
+        if settings["engine"] == "fast":
+            from nnss_cli.training.fast import warm_up
+
+            warm_up(settings["dtype"])
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train an NN-SS model."""
@@ -157,6 +168,10 @@ class N4SID:
         """How the horizons are chosen."""
         return {"horizon": chosen_horizon(data, overrides)}
 
+    def prepare(self, settings: Settings) -> None:
+        """Import it."""
+        import nnss_cli.baselines.n4sid  # noqa: F401
+
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Identify a linear model."""
         from nnss_cli.baselines.linear_model import LinearModel
@@ -173,6 +188,10 @@ class SSEST:
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Whether D is estimated."""
         return {"feedthrough": bool(overrides.get("feedthrough", False))}
+
+    def prepare(self, settings: Settings) -> None:
+        """Import it."""
+        import nnss_cli.baselines.ssest  # noqa: F401
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Refine subspace models to convergence."""
@@ -197,6 +216,10 @@ class SSREGEST:
         if kernel not in KERNELS:
             raise unknown("kernel", kernel, KERNELS)
         return {"kernel": kernel}
+
+    def prepare(self, settings: Settings) -> None:
+        """Import it."""
+        import nnss_cli.baselines.ssregest  # noqa: F401
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Identify a linear model."""
@@ -223,6 +246,10 @@ class SIMBa:
         options = SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
         check_window(options.window, data)
         return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
+
+    def prepare(self, settings: Settings) -> None:
+        """Import it."""
+        import nnss_cli.baselines.simba  # noqa: F401
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train a linear model."""

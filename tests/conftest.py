@@ -1,11 +1,10 @@
 """Shared fixtures: an own cache for every test, the real files where they are, the command line."""
 
+from nnss_cli.machine import prepare
+
+prepare()  # as the command line does: results must not depend on the number of BLAS threads
+
 import os
-
-# As the command line does: results must not depend on the number of BLAS threads.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -44,6 +44,7 @@ def command(
     gamma: opt.Gamma = None,
     epsilon: opt.Epsilon = None,
     dtype: opt.Dtype = None,
+    engine: opt.Engine = "auto",
     horizon: opt.HorizonChoice = None,
     kernel: opt.KernelChoice = None,
     simba_start: opt.SimbaStart = None,
@@ -75,13 +76,15 @@ def command(
     changes = opt.overrides(
         epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
         consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
-        epsilon=epsilon, dtype=dtype, horizon=horizon, kernel=kernel, start=simba_start,
-        feedthrough=feedthrough or None,
+        epsilon=epsilon, dtype=dtype, engine=None if engine == "auto" else engine, horizon=horizon, kernel=kernel,
+        start=simba_start, feedthrough=feedthrough or None,
     )  # fmt: skip
     todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes, force)
     require_writable(store.folder)
+    engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(
-        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {todo.done} done already",
+        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {todo.done} done already"
+        + (f" (NN-SS engine: {', '.join(engines)})" if engines else ""),
         highlight=False,
     )
     with RunProgress(todo.todo) as progress:

@@ -52,6 +52,12 @@ Encoder = Annotated[list[int] | None, _training("--encoder", "Widths of the enco
 Scheduling = Annotated[str | None, _training("--scheduling", "What schedules the matrices.", "x|x+u|x+y|x+u+y")]
 Gamma = Annotated[float | None, _training("--gamma", "Bound on the spectral radius of A, at most 1.", "γ")]
 Epsilon = Annotated[float | None, _training("--eps", "Added to S in the Schur parametrisation.", "ε")]
+Engine = Annotated[
+    str,
+    typer.Option(
+        "--engine", metavar="auto|reference|fast", help="Compiled training, or plain torch.", rich_help_panel=_TRAINING
+    ),
+]
 Dtype = Annotated[str | None, _training("--dtype", "Precision.", "float32|float64")]
 
 _BASELINES = "Baselines"

@@ -35,7 +35,7 @@ def command(
     rows = order_table(data.fitting, largest)
     chosen = suggest_order(rows)
     require_writable(folder)
-    title = f"{dataset}, protocol {protocol}: errors of N4SID (RMSE/σ), horizons chosen on validation"
+    title = f"{dataset}, protocol {protocol}: N4SID by order (RMSE/σ)"
     print_rows(order_rows(rows, chosen), title, text_columns=1)
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
     for path in write_orders(rows, chosen, folder, title):

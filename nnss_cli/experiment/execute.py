@@ -27,9 +27,11 @@ def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallba
     scores: list[Score] = []
     signals: Tensors = {}
     fit = Fit(None)
+    method = METHODS[spec.method]
+    method.prepare(spec.settings)
     started = time.perf_counter()
     try:
-        fit = METHODS[spec.method].fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
         if fit.diverged:
             status, reason = "diverged", fit.diverged
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # singular, too short, out of range

@@ -17,7 +17,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import execute
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
-from nnss_cli.methods import Method, Settings
+from nnss_cli.methods import METHODS, Method, Settings
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,8 @@ def sweep(
         for spec in specs:
             on_result(_reported(spec, dataset, store, on_event))
         return
+    for spec in specs:  # compile here: the workers then find it on disk
+        METHODS[spec.method].prepare(spec.settings)
     context = multiprocessing.get_context("spawn")
     events: SimpleQueue[Event | None] = context.SimpleQueue()
     listener = threading.Thread(target=_listen, args=(events, on_event), daemon=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import torch
 
-from nnss_cli.datasets.record import FittingData
+from nnss_cli.datasets.record import FittingData, FloatArray
 from nnss_cli.datasets.windows import sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
+from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
 from nnss_cli.training.recipe import Recipe
 
 
@@ -31,6 +31,15 @@ class Training:
     """Mean loss of each epoch."""
     val_rmse: list[float] = field(default_factory=list)
     """Validation error of each epoch: RMSE of a free run in normalised units."""
+
+
+def build_engine(model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> Engine:
+    """The engine that the recipe names."""
+    if recipe.engine == "reference":
+        return ReferenceEngine(model, u, y, recipe)
+    from nnss_cli.training.fast import FastEngine
+
+    return FastEngine(model, u, y, recipe)
 
 
 def train_nnss(
@@ -57,7 +66,7 @@ def train_nnss(
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, scaling, data.channels, data.Ts)
     model.initialise(named_random(seed, "weights"))
-    engine = ReferenceEngine(model, u, y, recipe)
+    engine = build_engine(model, u, y, recipe)
 
     shuffling = named_random(seed, "shuffling")
     stopping = EarlyStopping(recipe.patience, recipe.improvement)

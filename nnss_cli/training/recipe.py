@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, unknown
 from nnss_cli.model.architecture import Architecture
+
+ENGINES = ("fast", "reference")
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,12 @@ class Recipe:
     """Epochs without a relative improvement of `improvement` before training stops."""
     improvement: float = 0.05
     """Relative improvement of the validation error that resets the patience."""
+    engine: str = "fast"
+    """fast (compiled) or reference (plain torch)."""
 
     def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise unknown("engine", self.engine, ("auto", *ENGINES))
         for name in ("window", "stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")

@@ -129,6 +129,7 @@ def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirr
         (["compare", "twotank-sim", "--kernel", "rbf"], ["unknown kernel 'rbf'", "tc, dc, ss"]),
         (["compare", "twotank-sim", "--simba-start", "zero"], ["start of simba", "n4sid, random"]),
         (["order", "twotank-sim", "--max-order", "0"], ["--max-order", "at least 1"]),
+        (["compare", "twotank-sim", "--engine", "warp"], ["unknown engine 'warp'", "auto, fast, reference"]),
         (["compare", "twotank-sim", "--jobs", "0"], ["--jobs", "at least 1"]),
         (["compare", "twotank-sim", "--epochs", "0"], ["epochs", "at least 1"]),
         (["compare", "twotank-sim", "--window", "2000"], ["window", "1500 samples"]),

@@ -1,0 +1,139 @@
+"""The fast engine: `kernels` behind the interface of the reference engine."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.model import kernels
+from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.modelfile import Tensors
+from nnss_cli.training.recipe import Recipe
+
+Layers = list[tuple[FloatArray, FloatArray]]
+
+
+def encoder_map(layers: Layers, outputs: int) -> list[tuple[FloatArray, FloatArray]]:
+    """The affine maps A_i y + c_i after 0, 1, … layers: A_0 = I, A_i = W_i A_{i−1}, c_i = W_i c_{i−1} + b_i."""
+    maps = [(np.eye(outputs, dtype=layers[0][0].dtype), np.zeros(outputs, layers[0][0].dtype))]
+    for W, bias in layers:
+        A, c = maps[-1]
+        maps.append((W @ A, W @ c + bias))
+    return maps
+
+
+def encoder_gradient(layers: Layers, maps: Layers, d_E: FloatArray, d_e: FloatArray) -> Layers:
+    """∂J/∂(W_i, b_i) from ∂J/∂E and ∂J/∂e: dW_i = G_i A_{i−1}ᵀ + g_i c_{i−1}ᵀ, G_{i−1} = W_iᵀ G_i, likewise g."""
+    G, g = d_E, d_e
+    gradients: Layers = []
+    for (W, _), (A, c) in zip(reversed(layers), reversed(maps[:-1]), strict=True):
+        gradients.append((G @ A.T + np.outer(g, c), g))
+        G, g = W.T @ G, W.T @ g
+    return gradients[::-1]
+
+
+class Weights:
+    """All weights of an NN-SS model as one vector, with named views into it."""
+
+    def __init__(self, model: NNSS) -> None:
+        """Copy the model's weights."""
+        a = self.architecture = model.architecture
+        parameters = {name: parameter.detach().numpy() for name, parameter in model.named_parameters()}
+        self.shapes = {name: array.shape for name, array in parameters.items()}
+        self.vector = np.concatenate([array.ravel() for array in parameters.values()])
+        self.widths = np.array([a.scheduling_size, *a.hidden, sum(a.parameter_sizes)])
+
+    def views(self, vector: FloatArray) -> dict[str, FloatArray]:
+        """`vector` cut into the shapes of the weights, without copying."""
+        cut, start = {}, 0
+        for name, shape in self.shapes.items():
+            size = int(np.prod(shape))
+            cut[name] = vector[start : start + size].reshape(shape)
+            start += size
+        return cut
+
+    def encoder(self, vector: FloatArray) -> Layers:
+        """The encoder's layers in `vector`, as views."""
+        arrays = [view for name, view in self.views(vector).items() if name.startswith("encoder")]
+        return list(zip(arrays[::2], arrays[1::2], strict=True))
+
+    def free_run(self, u: FloatArray, y0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Simulated outputs (K, m) and states (K, n) in normalised units."""
+        a, dtype = self.architecture, self.vector.dtype
+        y, x = np.empty((len(u), a.outputs), dtype), np.empty((len(u), a.order), dtype)
+        first = np.array(y0, dtype)
+        E, e = encoder_map(self.encoder(self.vector), a.outputs)[-1]
+        kernels.free_run(
+            self.vector, self.widths, "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
+            E @ first + e, np.array(u, dtype, order="C"), first, y, x,
+        )  # fmt: skip
+        return y, x
+
+
+@functools.cache
+def warm_up(dtype: str) -> None:
+    """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size."""
+    from nnss_cli.datasets.record import Channels, Scaling
+
+    architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype)
+    one = np.ones(1)
+    model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
+    engine = FastEngine(model, np.ones((2, 3, 1)), np.ones((2, 3, 1)), Recipe(dtype=dtype))
+    engine.train_batch(np.arange(2), 1)
+    engine.free_run(np.ones((2, 1)), np.ones(1))
+
+
+class FastEngine:
+    """Compiled steps; the same results as `ReferenceEngine` up to rounding."""
+
+    def __init__(self, model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> None:
+        """Train from the model's weights on windows u (N, L, r), y (N, L, m) in normalised units."""
+        self.model_weights = Weights(model)
+        self.recipe = recipe
+        dtype = self.model_weights.vector.dtype
+        # sample, channel, window: a mini-batch is then a gather along the last axis
+        self.u = np.ascontiguousarray(u.transpose(1, 2, 0), dtype)
+        self.y = np.ascontiguousarray(y.transpose(1, 2, 0), dtype)
+        self.gradient = np.zeros_like(self.model_weights.vector)
+        self.moments = np.zeros_like(self.gradient), np.zeros_like(self.gradient)
+        a: Architecture = model.architecture
+        self.d_encoder = np.empty((a.order, a.outputs), dtype), np.empty(a.order, dtype)
+        self.space = np.empty(0, dtype)
+
+    def loss_and_gradient(self, windows: NDArray[np.int64]) -> float:
+        """The training loss of these windows; its gradient is in `gradient`."""
+        weights, a = self.model_weights, self.model_weights.architecture
+        u, y = np.take(self.u, windows, axis=2), np.take(self.y, windows, axis=2)
+        L, b = len(u), len(windows)
+        needed = kernels.workspace_size([int(w) for w in weights.widths], a.order, a.outputs, L, b)
+        if needed > self.space.size:
+            self.space = np.empty(needed, self.gradient.dtype)
+        layers = weights.encoder(weights.vector)
+        maps = encoder_map(layers, a.outputs)
+        loss = kernels.loss_and_gradient(
+            weights.vector, weights.widths, *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
+            self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
+        )  # fmt: skip
+        through = encoder_gradient(layers, maps, *self.d_encoder)
+        for (d_W, d_bias), (W, bias) in zip(through, weights.encoder(self.gradient), strict=True):
+            W[:], bias[:] = d_W, d_bias
+        return float(loss)
+
+    def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
+        """One Adam step; see `Engine`."""
+        loss = self.loss_and_gradient(windows)
+        # as in the released code, the bias is corrected by the epoch's number
+        kernels.adam(self.model_weights.vector, self.gradient, *self.moments, self.recipe.learning_rate, epoch)
+        return loss
+
+    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        """Free simulation; see `Engine`."""
+        return self.model_weights.free_run(u, y0)[0].astype(np.float64)
+
+    def weights(self) -> Tensors:
+        """A copy of the weights; see `Engine`."""
+        return {name: view.copy() for name, view in self.model_weights.views(self.model_weights.vector).items()}
