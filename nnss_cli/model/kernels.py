@@ -118,11 +118,13 @@ def _product(W: Any, z: Any, out: Any) -> None:
         np.dot(W, z, out)
     else:  # the matrix kernel does not pay for a few columns
         for i in range(after):
+            row = out[i]
             for s in range(b):
-                out[i, s] = 0
+                row[s] = 0
             for j in range(before):
+                w, source = W[i, j], z[j]
                 for s in range(b):
-                    out[i, s] += W[i, j] * z[j, s]
+                    row[s] += w * source[s]
 
 
 @part
@@ -162,21 +164,24 @@ def _add_outer(delta: Any, z: Any, product: Any, target: Any, bias: Any) -> None
         return
     for k in range(T):
         for i in range(after):
+            row = delta[k, i]
             total = bias.dtype.type(0)
             for s in range(b):
-                total += delta[k, i, s]
+                total += row[s]
             bias[i] += total
         if before > NARROW:
             np.dot(delta[k], z[k].T, product)
-            for i in range(after):
-                for j in range(before):
-                    target[i, j] += product[i, j]
+            source, to = product.reshape(product.size), target.reshape(target.size)
+            for i in range(source.size):
+                to[i] += source[i]
         else:
             for i in range(after):
+                row = delta[k, i]
                 for j in range(before):
+                    column = z[k, j]
                     total = bias.dtype.type(0)
                     for s in range(b):
-                        total += delta[k, i, s] * z[k, j, s]
+                        total += row[s] * column[s]
                     target[i, j] += total
 
 
@@ -355,6 +360,28 @@ def _step_adjoint(
 
 
 @part
+def _through_sigmoid(d_out: Any, activation: Any, delta: Any) -> None:
+    """δ = ∂J/∂σ · σ (1 − σ), all flat."""
+    one = delta.dtype.type(1)
+    for i in range(delta.size):
+        delta[i] = d_out[i] * activation[i] * (one - activation[i])
+
+
+@part
+def _back_narrow(W: Any, delta: Any, d_rho: Any) -> None:
+    """d_rho = Wᵀ δ for a few inputs."""
+    after, rho = W.shape
+    for i in range(rho):
+        row = d_rho[i]
+        for s in range(row.size):
+            row[s] = 0
+        for j in range(after):
+            w, source = W[j, i], delta[j]
+            for s in range(row.size):
+                row[s] += w * source[s]
+
+
+@part
 def _set_rho(x: Any, u: Any, y_previous: Any, with_u: bool, with_y: bool, rho: Any) -> None:
     """The scheduling vector (ρ, b): x, then u, then the previous output."""
     n, r = len(x), len(u)
@@ -466,7 +493,7 @@ def loss_and_gradient(
     first_previous = y[0]
     if with_y:
         u, y = u[1:], y[1:]
-    L, r, b = u.shape
+    L, b = len(u), u.shape[2]
     n, m = E.shape
     depth, P, rho = len(widths) - 2, widths[-1], widths[0]
     starts = np.zeros(depth + 2, np.int64)  # of each layer's weights
@@ -524,7 +551,6 @@ def loss_and_gradient(
         _step(theta[k], x[k], u[k], gamma, epsilon, LU[k], z[k], q[k], x[k + 1], y_sim[k])
 
     # backwards
-    one = dtype.type(1)
     if b > 1:  # products run faster on weights that are transposed once
         for layer in range(1, depth + 1):
             before, after = widths[layer], widths[layer + 1]
@@ -546,29 +572,38 @@ def loss_and_gradient(
     filled = 0  # samples in `deltas`, the latest first from the back
     for k in range(L - 1, -1, -1):
         for o in range(m):
+            d_row, y_row, sim_row, previous_row = d_y[o], y[k, o], y_sim[k, o], d_previous[o]
+            squares = dtype.type(0)
             for s in range(b):
-                error = y_sim[k, o, s] - y[k, o, s]
-                response += error * error
-                d_y[o, s] = per_output * error + d_previous[o, s]
+                error = sim_row[s] - y_row[s]
+                squares += error * error
+                d_row[s] = per_output * error + previous_row[s]
+            response += squares
         for i in range(n):
-            for s in range(b):
-                d_x[i, s] = 0
-        if k > 0:
-            for i in range(n):
-                total = dtype.type(0)
-                squares = dtype.type(0)
+            d_row, x_row = d_x[i], x[k, i]
+            if k == 0:
                 for s in range(b):
-                    gap = x[k, i, s] - e[i]
-                    for o in range(m):
-                        gap -= E[i, o] * y[k, o, s]
-                    squares += gap * gap
-                    gap *= per_state
-                    d_x[i, s] = gap
-                    total += gap
-                    for o in range(m):
-                        d_E[i, o] -= gap * y[k, o, s]
-                d_e[i] -= total
-                drift += squares
+                    d_row[s] = 0
+                continue
+            for s in range(b):
+                d_row[s] = x_row[s] - e[i]
+            for o in range(m):
+                y_row, factor = y[k, o], E[i, o]
+                for s in range(b):
+                    d_row[s] -= factor * y_row[s]
+            total, squares = dtype.type(0), dtype.type(0)
+            for s in range(b):
+                squares += d_row[s] * d_row[s]
+                d_row[s] *= per_state
+                total += d_row[s]
+            drift += squares
+            d_e[i] -= total
+            for o in range(m):
+                y_row = y[k, o]
+                total = dtype.type(0)
+                for s in range(b):
+                    total += d_row[s] * y_row[s]
+                d_E[i, o] -= total
         _step_adjoint(theta[k], x[k], u[k], gamma, LU[k], z[k], q[k], mu, d_y, d_theta, d_x, work)
 
         # through the generator; the earliest sample of a block stands first
@@ -583,20 +618,12 @@ def loss_and_gradient(
                 delta[:] = d_theta
             else:
                 at = places[layer + 1] + k * b * after
-                for i in range(b * after):
-                    a = kept[at + i]
-                    deltas[low + i] = d_in[i] * a * (one - a)
+                _through_sigmoid(d_in, kept[at : at + b * after], deltas[low : low + b * after])
             W = weights[starts[layer] : starts[layer] + after * before].reshape(after, before)
             if b == 1:
                 np.dot(delta.reshape(after), W, (d_in if layer > 0 else d_rho.reshape(rho))[:before])
             elif layer == 0:
-                for i in range(rho):
-                    for s in range(b):
-                        d_rho[i, s] = 0
-                for j in range(after):
-                    for i in range(rho):
-                        for s in range(b):
-                            d_rho[i, s] += W[j, i] * delta[j, s]
+                _back_narrow(W, delta, d_rho)
             else:
                 WT = transposed[starts[layer] : starts[layer] + after * before].reshape(before, after)
                 np.dot(WT, delta, d_in[: b * before].reshape(before, b))

@@ -103,6 +103,8 @@ class FastEngine:
         a: Architecture = model.architecture
         self.d_encoder = np.empty((a.order, a.outputs), dtype), np.empty(a.order, dtype)
         self.space = np.empty(0, dtype)
+        self.layers = self.model_weights.encoder(self.model_weights.vector)
+        self.layer_gradients = self.model_weights.encoder(self.gradient)
 
     def loss_and_gradient(self, windows: NDArray[np.int64]) -> float:
         """The training loss of these windows; its gradient is in `gradient`."""
@@ -112,14 +114,13 @@ class FastEngine:
         needed = kernels.workspace_size([int(w) for w in weights.widths], a.order, a.outputs, L, b)
         if needed > self.space.size:
             self.space = np.empty(needed, self.gradient.dtype)
-        layers = weights.encoder(weights.vector)
-        maps = encoder_map(layers, a.outputs)
+        maps = encoder_map(self.layers, a.outputs)
         loss = kernels.loss_and_gradient(
             weights.vector, weights.widths, *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
             self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
         )  # fmt: skip
-        through = encoder_gradient(layers, maps, *self.d_encoder)
-        for (d_W, d_bias), (W, bias) in zip(through, weights.encoder(self.gradient), strict=True):
+        through = encoder_gradient(self.layers, maps, *self.d_encoder)
+        for (d_W, d_bias), (W, bias) in zip(through, self.layer_gradients, strict=True):
             W[:], bias[:] = d_W, d_bias
         return float(loss)
 
