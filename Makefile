@@ -15,7 +15,7 @@ ARGS ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow lint format reproduce clean
+.PHONY: help install demo test test-slow lint format reproduce bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -34,7 +34,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 demo: install ## A small comparison on the embedded plant: no download, about two minutes
-	$(NNSS) compare twotank-sim --orders 2 3 --seeds 3 --epochs 60 --out $(OUT)/demo $(ARGS)
+	$(NNSS) compare twotank-sim --orders 2 3 --seeds 5 --epochs 150 --out $(OUT)/demo $(ARGS)
 	@echo "box plot: $(OUT)/demo/twotank-sim/paper/boxplot.png"
 
 test: install ## Run the tests (slow ones are left out)
@@ -61,6 +61,10 @@ reproduce: install ## The three benchmarks at the paper's orders: SEEDS=10, or s
 	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --out $(OUT) $(ARGS)
 	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --out $(OUT) $(ARGS)
 	$(NNSS) report --out $(OUT)
+
+bench: install ## Engines and N4SID against other ways to do it, as ratios in one run; ARGS='--jax --torch-compile'
+	$(BIN)/python benchmarks/training.py $(ARGS)
+	$(BIN)/python benchmarks/subspace.py
 
 clean: ## Remove .venv and build products; results/ stays
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -3,7 +3,8 @@
     x(k+1) = A(W, V) x + B u,   y = C x + D u,   x(0) = C⁺ (y(0) − D u(0))
 
 A is Schur for every W, V (`schur`); B, C and D are free. All gradients are written out: the
-adjoint λ(k) = Aᵀ λ(k+1) + Cᵀ ∂J/∂ŷ(k) runs backwards through the same recursion.
+adjoint λ(k) = Aᵀ λ(k+1) + Cᵀ ∂J/∂ŷ(k) runs backwards through the recursion (`kernels`), then
+through C⁺ and the Schur map.
 
 Source: L. Di Natale, M. Zakwan, P. Heer, G. Ferrari-Trecate and C. N. Jones, "SIMBa: System
 identification methods leveraging backpropagation", IEEE TCST, 2024; training as in the code
@@ -16,8 +17,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from nnss_cli.baselines.kernels import linear_adjoint
 from nnss_cli.baselines.schur import EPSILON, schur_inverse, schur_matrix
-from nnss_cli.baselines.statespace import LinearStateSpace, propagate, simulation_rms
+from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import sliding_windows
 
@@ -100,15 +102,16 @@ def initial_parameters(
 
 
 def loss_and_gradient(
-    parameters: Parameters, u: FloatArray, y: FloatArray, gamma: float = 1.0
+    parameters: Parameters, u: FloatArray, y: FloatArray, gamma: float = 1.0, space: FloatArray | None = None
 ) -> tuple[float, Parameters]:
     """J = mean (y − ŷ)² over windows, and its gradient.
 
     Args:
         parameters: W (2n, 2n), V (n, n), B (n, r), C (m, n), D (m, r).
-        u: inputs (b, L, r).
-        y: measured outputs (b, L, m).
+        u: inputs (L, r, b).
+        y: measured outputs (L, m, b).
         gamma: bound on the spectral radius.
+        space: at least L·(n + m)·b numbers to work in; made where it is None.
     """
     W, V, B, C, D = (parameters[name] for name in "WVBCD")
     n = len(V)
@@ -118,30 +121,19 @@ def loss_and_gradient(
     A = S[:n, n:] @ M_inverse
 
     pinv = np.linalg.pinv(C)
-    u0, v = u[:, 0], y[:, 0] - u[:, 0] @ D.T
-    x = propagate(A, u @ B.T, v @ pinv.T)[:, :-1]
-    error = x @ C.T + u @ D.T - y
-    loss = float(np.mean(error**2))
-
-    # adjoint, backwards in time: the recursion of `propagate` with Aᵀ
-    d_y = 2 / error.size * error
-    backwards = propagate(A.T, (d_y @ C)[:, ::-1], np.zeros((len(u), n)))[:, 1:]
-    adjoint = backwards[:, ::-1]  # λ(k), k = 0 … L−1
-    following, d_x0 = adjoint[:, 1:].reshape(-1, n), adjoint[:, 0]
-
-    d_A = following.T @ x[:, :-1].reshape(-1, n)
-    d_B = following.T @ u[:, :-1].reshape(-1, u.shape[2])
-    flat = d_y.reshape(-1, y.shape[2])
-    d_v = d_x0 @ pinv
-    d_C = flat.T @ x.reshape(-1, n) + _pinv_gradient(C, pinv, d_x0.T @ v)
-    d_D = flat.T @ u.reshape(-1, u.shape[2]) - d_v.T @ u0
+    v = y[0] - D @ u[0]
+    if space is None:
+        space = np.empty(len(u) * (n + len(C)) * u.shape[2])
+    loss, d_A, d_B, d_C, d_D, d_x0 = linear_adjoint(A, B, C, D, pinv @ v, u, y, space)
+    d_C += _pinv_gradient(C, pinv, d_x0 @ v.T)
+    d_D -= pinv.T @ d_x0 @ u[0].T
 
     d_M = -A.T @ d_A @ M_inverse.T
     d_S = np.zeros_like(S)
     d_S[:n, :n] = d_M / (2 * gamma**2)
     d_S[n:, n:] = d_M / 2
     d_S[:n, n:] = d_A @ M_inverse.T
-    return loss, {"W": W @ (d_S + d_S.T), "V": d_M - d_M.T, "B": d_B, "C": d_C, "D": d_D}
+    return float(loss), {"W": W @ (d_S + d_S.T), "V": d_M - d_M.T, "B": d_B, "C": d_C, "D": d_D}
 
 
 def _pinv_gradient(C: FloatArray, pinv: FloatArray, d_pinv: FloatArray) -> FloatArray:
@@ -175,21 +167,24 @@ def train_simba(
     Raises:
         InputError: the window is longer than the training record.
     """
-    u, y = sliding_windows(train, options.window, options.stride)
-    parameters = initial_parameters(start, order, u.shape[2], y.shape[2], options.gamma, named_random(seed, "weights"))
+    u, y = (np.ascontiguousarray(w.transpose(1, 2, 0)) for w in sliding_windows(train, options.window, options.stride))
+    count = u.shape[2]
+    parameters = initial_parameters(start, order, u.shape[1], y.shape[1], options.gamma, named_random(seed, "weights"))
+    space = np.empty(options.window * (order + y.shape[1]) * min(options.batch, count))
     first = {name: np.zeros_like(value) for name, value in parameters.items()}
     second = {name: np.zeros_like(value) for name, value in parameters.items()}
     shuffling = named_random(seed, "shuffling")
     stopping = EarlyStopping(options.patience, improvement=0.0)
     history: dict[str, list[float]] = {"train_loss": [], "val_rmse": []}
     kept, diverged = _system(parameters, options.gamma, train[0].Ts), ""
-    batches = max(1, len(u) // options.batch)
+    batches = max(1, count // options.batch)
     for epoch in range(1, options.epochs + 1):
-        shuffled = shuffling.permutation(len(u))
+        shuffled = shuffling.permutation(count)
         total = 0.0
         for index in range(batches):
             chosen = shuffled[index * options.batch : (index + 1) * options.batch]
-            loss, gradient = loss_and_gradient(parameters, u[chosen], y[chosen], options.gamma)
+            batch = np.take(u, chosen, axis=2), np.take(y, chosen, axis=2)
+            loss, gradient = loss_and_gradient(parameters, *batch, options.gamma, space)
             total += loss
             for name, g in gradient.items():
                 first[name] = 0.9 * first[name] + 0.1 * g

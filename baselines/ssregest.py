@@ -137,7 +137,7 @@ def _posterior_mean(R: FloatArray, output: int, m: int, p: int, r: int, kernel: 
         root = prior_root(theta)
         top = np.concatenate([R11 @ root, r12[:, None]], axis=1)
         stacked = np.concatenate([top, np.concatenate([sigma * np.eye(P), np.zeros((P, 1))], axis=1)])
-        F = np.linalg.qr(stacked, mode="r")
+        F = np.asarray(np.linalg.qr(stacked, mode="r"))
         return root, F[:P, :P], F[:P, P], float(F[P, P] ** 2) if len(F) > P else 0.0
 
     def minus_log_likelihood(theta: FloatArray) -> float:

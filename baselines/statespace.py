@@ -68,6 +68,8 @@ class LinearStateSpace:
     """Sampling time [s]."""
 
     def __post_init__(self) -> None:
+        for name in "ABCD":  # one memory layout, so that a model read from disk gives the same bits
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
         n, r, m = self.order, self.B.shape[1], self.C.shape[0]
         shapes = (self.A.shape, self.B.shape, self.C.shape, self.D.shape)
         if shapes != ((n, n), (n, r), (m, n), (m, r)):

@@ -44,6 +44,7 @@ def command(
     gamma: opt.Gamma = None,
     epsilon: opt.Epsilon = None,
     dtype: opt.Dtype = None,
+    optimiser: opt.Optimiser = None,
     engine: opt.Engine = "auto",
     horizon: opt.HorizonChoice = None,
     kernel: opt.KernelChoice = None,
@@ -76,8 +77,8 @@ def command(
     changes = opt.overrides(
         epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
         consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
-        epsilon=epsilon, dtype=dtype, engine=None if engine == "auto" else engine, horizon=horizon, kernel=kernel,
-        start=simba_start, feedthrough=feedthrough or None,
+        epsilon=epsilon, dtype=dtype, optimiser=optimiser, engine=None if engine == "auto" else engine,
+        horizon=horizon, kernel=kernel, start=simba_start, feedthrough=feedthrough or None,
     )  # fmt: skip
     todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes, force)
     require_writable(store.folder)

@@ -52,6 +52,9 @@ Encoder = Annotated[list[int] | None, _training("--encoder", "Widths of the enco
 Scheduling = Annotated[str | None, _training("--scheduling", "What schedules the matrices.", "x|x+u|x+y|x+u+y")]
 Gamma = Annotated[float | None, _training("--gamma", "Bound on the spectral radius of A, at most 1.", "γ")]
 Epsilon = Annotated[float | None, _training("--eps", "Added to S in the Schur parametrisation.", "ε")]
+Optimiser = Annotated[
+    str | None, _training("--optimiser", "Adam on mini-batches, or L-BFGS on all windows.", "adam|lbfgs")
+]
 Engine = Annotated[
     str,
     typer.Option(

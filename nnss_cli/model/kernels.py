@@ -35,7 +35,7 @@ NARROW = 8  # inputs up to which a plain loop beats the matrix kernel
 
 
 @intrinsic
-def _float_from_bits(typingctx: Any, bits: Any) -> Any:
+def _bits_to_float(typingctx: Any, bits: Any) -> Any:
     """The float whose bit pattern is an integer: 2^k from k without a function call."""
     del typingctx
     result = types.float32 if bits == types.int32 else types.float64
@@ -44,6 +44,9 @@ def _float_from_bits(typingctx: Any, bits: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(signature.return_type))
 
     return result(bits), codegen
+
+
+_float_from_bits: Any = _bits_to_float  # numba passes the first argument itself
 
 
 def _exp(x: float) -> float:
@@ -100,7 +103,7 @@ def _exp_compiled(x: Any) -> Any:
     return double
 
 
-OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": FAST}
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "fastmath": FAST}
 # Only the entry points are cached. A part that came from the cache would be linked into a caller
 # in another form than one compiled along with it, and the last bits of results with it.
 part = njit(**OPTIONS)

@@ -25,6 +25,10 @@ class Engine(Protocol):
         """One Adam step on the windows of these indices; the loss before the step."""
         ...
 
+    def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
+        """Loss over all windows and its gradient at these weights, one vector in the order of `weights`."""
+        ...
+
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
         """Simulated outputs (K, m) of inputs (K, r) from a first output (m,), in normalised units."""
         ...
@@ -80,6 +84,17 @@ class ReferenceEngine:
             state["step"].fill_(epoch - 1)
         self.optimiser.step()
         return loss.item()
+
+    def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
+        """Loss over all windows; see `Engine`."""
+        torch.nn.utils.vector_to_parameters(torch.tensor(vector, dtype=self.model.dtype), self.model.parameters())
+        self.optimiser.zero_grad(set_to_none=False)
+        loss = training_loss(self.model, self.u, self.y, self.recipe.consistency)
+        loss.backward()
+        gradient = torch.cat(
+            [p.grad.ravel() if p.grad is not None else p.new_zeros(p.numel()) for p in self.model.parameters()]
+        )
+        return loss.item(), gradient.numpy().astype(np.float64)
 
     @torch.no_grad()
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:

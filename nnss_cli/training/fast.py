@@ -106,7 +106,13 @@ class FastEngine:
         self.layers = self.model_weights.encoder(self.model_weights.vector)
         self.layer_gradients = self.model_weights.encoder(self.gradient)
 
-    def loss_and_gradient(self, windows: NDArray[np.int64]) -> float:
+    def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
+        """Loss over all windows; see `Engine`."""
+        self.model_weights.vector[:] = vector
+        loss = self.evaluate(np.arange(self.u.shape[2]))
+        return loss, self.gradient.astype(np.float64)
+
+    def evaluate(self, windows: NDArray[np.int64]) -> float:
         """The training loss of these windows; its gradient is in `gradient`."""
         weights, a = self.model_weights, self.model_weights.architecture
         u, y = np.take(self.u, windows, axis=2), np.take(self.y, windows, axis=2)
@@ -126,7 +132,7 @@ class FastEngine:
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
         """One Adam step; see `Engine`."""
-        loss = self.loss_and_gradient(windows)
+        loss = self.evaluate(windows)
         # as in the released code, the bias is corrected by the epoch's number
         kernels.adam(self.model_weights.vector, self.gradient, *self.moments, self.recipe.learning_rate, epoch)
         return loss

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 
-from nnss_cli.datasets.record import FittingData, FloatArray
+from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.nnss import NNSS
@@ -68,34 +69,72 @@ def train_nnss(
     model.initialise(named_random(seed, "weights"))
     engine = build_engine(model, u, y, recipe)
 
-    shuffling = named_random(seed, "shuffling")
-    stopping = EarlyStopping(recipe.patience, recipe.improvement)
-    kept, best_epoch, diverged = engine.weights(), 0, ""
-    losses: list[float] = []
-    errors: list[float] = []
-    # As in the released code, an incomplete last mini-batch is left out.
-    batches = max(1, len(u) // recipe.batch)
+    watch = _Watch(engine, val, recipe, on_epoch)
+    if recipe.optimiser == "adam":
+        _adam(engine, len(u), recipe, named_random(seed, "shuffling"), watch)
+    else:
+        _lbfgs(engine, recipe, watch)
+    model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
+    return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors)
+
+
+class _Watch:
+    """Takes in each epoch: the validation run, the best weights, whether to stop."""
+
+    def __init__(self, engine: Engine, val: tuple[Record, ...], recipe: Recipe, on_epoch: EpochCallback | None) -> None:
+        self.engine, self.val, self.on_epoch = engine, val, on_epoch
+        self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
+        self.kept, self.best_epoch, self.diverged = engine.weights(), 0, ""
+        self.losses: list[float] = []
+        self.errors: list[float] = []
+
+    def goes_on(self, loss: float) -> bool:
+        """Note an epoch that ended with this loss; whether there is to be another."""
+        epoch = len(self.losses) + 1
+        if not math.isfinite(loss):
+            self.diverged = f"the loss became {loss} in epoch {epoch}"
+            return False
+        self.losses.append(loss)
+        self.errors.append(free_run_rmse(self.engine, self.val))
+        if not math.isfinite(self.errors[-1]):
+            self.diverged = f"the validation error became {self.errors[-1]} in epoch {epoch}"
+            return False
+        if self.stopping.is_best(self.errors[-1]):
+            self.kept, self.best_epoch = self.engine.weights(), epoch
+        if self.on_epoch:
+            self.on_epoch(epoch, loss, self.errors[-1])
+        return not self.stopping.stop
+
+
+def _adam(engine: Engine, windows: int, recipe: Recipe, shuffling: np.random.Generator, watch: _Watch) -> None:
+    """Adam on shuffled mini-batches. As in the released code, an incomplete last one is left out."""
+    batches = max(1, windows // recipe.batch)
     for epoch in range(1, recipe.epochs + 1):
-        shuffled = shuffling.permutation(len(u))
+        shuffled = shuffling.permutation(windows)
         total = 0.0
         for index in range(batches):
-            loss = engine.train_batch(shuffled[index * recipe.batch : (index + 1) * recipe.batch], epoch)
-            if not math.isfinite(loss):
-                diverged = f"the loss became {loss} in epoch {epoch}"
+            total += engine.train_batch(shuffled[index * recipe.batch : (index + 1) * recipe.batch], epoch)
+            if not math.isfinite(total):
                 break
-            total += loss
-        if diverged:
-            break
-        losses.append(total / batches)
-        errors.append(free_run_rmse(engine, val))
-        if not math.isfinite(errors[-1]):
-            diverged = f"the validation error became {errors[-1]} in epoch {epoch}"
-            break
-        if stopping.is_best(errors[-1]):
-            kept, best_epoch = engine.weights(), epoch
-        if on_epoch:
-            on_epoch(epoch, losses[-1], errors[-1])
-        if stopping.stop:
-            break
-    model.load_state_dict({name: torch.from_numpy(array) for name, array in kept.items()}, strict=False)
-    return Training(model, len(losses), best_epoch, diverged, losses, errors)
+        if not watch.goes_on(total / batches):
+            return
+
+
+def _lbfgs(engine: Engine, recipe: Recipe, watch: _Watch) -> None:
+    """L-BFGS with the exact gradient over all windows; an iteration counts as an epoch."""
+    import scipy.optimize
+
+    def after_iteration(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+        engine.loss_and_gradient(intermediate_result.x)  # the line search may have left other weights behind
+        if not watch.goes_on(float(intermediate_result.fun)):
+            raise StopIteration
+
+    start = np.concatenate([array.ravel() for array in engine.weights().values()]).astype(np.float64)
+    loss, _ = engine.loss_and_gradient(start)
+    if not math.isfinite(loss):
+        watch.goes_on(loss)
+        return
+    scipy.optimize.minimize(
+        engine.loss_and_gradient, start, jac=True, method="L-BFGS-B", callback=after_iteration,
+        options={"maxiter": recipe.epochs, "maxfun": 20 * recipe.epochs, "maxcor": 20, "ftol": 0, "gtol": 0},
+    )  # fmt: skip

@@ -11,6 +11,7 @@ from nnss_cli.errors import InputError, unknown
 from nnss_cli.model.architecture import Architecture
 
 ENGINES = ("fast", "reference")
+OPTIMISERS = ("adam", "lbfgs")
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,16 @@ class Recipe:
     """Epochs without a relative improvement of `improvement` before training stops."""
     improvement: float = 0.05
     """Relative improvement of the validation error that resets the patience."""
+    optimiser: str = "adam"
+    """adam on mini-batches, or lbfgs on all windows at once (an epoch is then an iteration)."""
     engine: str = "fast"
     """fast (compiled) or reference (plain torch)."""
 
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:
             raise unknown("engine", self.engine, ("auto", *ENGINES))
+        if self.optimiser not in OPTIMISERS:
+            raise unknown("optimiser", self.optimiser, OPTIMISERS)
         for name in ("window", "stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")

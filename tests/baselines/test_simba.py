@@ -32,7 +32,7 @@ def test_gradients_agree_with_autograd(n: int, r: int, m: int, L: int, gamma: fl
     random = np.random.default_rng(n)
     parameters = initial_parameters(None, n, r, m, gamma, random)
     u, y = random.standard_normal((6, L, r)), random.standard_normal((6, L, m))
-    loss, gradient = loss_and_gradient(parameters, u, y, gamma)
+    loss, gradient = loss_and_gradient(parameters, u.transpose(1, 2, 0).copy(), y.transpose(1, 2, 0).copy(), gamma)
     tensors = {name: torch.tensor(value, requires_grad=True) for name, value in parameters.items()}
     reference = plain_torch_loss(tensors, torch.tensor(u), torch.tensor(y), gamma)
     reference.backward()

@@ -50,7 +50,7 @@ CASES = [
 def worst_difference(model: NNSS, u: np.ndarray, y: np.ndarray, consistency: float) -> tuple[float, float]:
     """Of the loss, and of any gradient tensor relative to its largest entry."""
     engine = FastEngine(model, u, y, Recipe(consistency=consistency))
-    loss = engine.loss_and_gradient(np.arange(len(u)))
+    loss = engine.evaluate(np.arange(len(u)))
     gradient = engine.model_weights.views(engine.gradient)
     reference = training_loss(
         model, torch.tensor(u, dtype=model.dtype), torch.tensor(y, dtype=model.dtype), consistency

@@ -40,6 +40,22 @@ def test_the_loss_is_response_plus_consistency(small_data: Callable) -> None:
     torch.testing.assert_close(training_loss(model, u, y, 0.0), response)
 
 
+def test_lbfgs_descends_the_same_way_in_both_engines(small_data: Callable) -> None:
+    data = small_data(K=300).fitting
+    recipe = QUICK.replace(optimiser="lbfgs", epochs=15, window=100, stride=1)  # the whole record as one window
+    fast, plain = (train_nnss(data, 2, 0, recipe.replace(engine=engine)) for engine in ENGINES)
+    np.testing.assert_allclose(fast.train_loss, plain.train_loss, rtol=1e-6)
+    assert (np.diff(fast.train_loss) <= 0).all()
+    assert fast.train_loss[-1] < 0.5 * fast.train_loss[0]
+    assert min(fast.val_rmse) == fast.val_rmse[fast.best_epoch - 1]
+
+
+def test_lbfgs_reports_a_loss_that_is_not_finite(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FastEngine, "loss_and_gradient", lambda _, x: (float("nan"), 0 * x))
+    training = train_nnss(small_data().fitting, 2, 0, QUICK.replace(optimiser="lbfgs"))
+    assert training.diverged == "the loss became nan in epoch 1"
+
+
 def test_the_engines_train_the_same_model(small_data: Callable) -> None:
     data = small_data(r=2, m=2).fitting
     fast, plain = (train_nnss(data, 2, 0, QUICK.replace(epochs=20, engine=engine)) for engine in ENGINES)
