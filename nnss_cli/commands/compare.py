@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,6 +11,7 @@ from nnss_cli.commands import options as opt
 from nnss_cli.errors import InputError
 
 
+@opt.with_fit_options
 def command(
     dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
     orders: Annotated[
@@ -31,25 +32,7 @@ def command(
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     force: opt.Force = False,
-    epochs: opt.Epochs = None,
-    patience: opt.Patience = None,
-    window: opt.Window = None,
-    stride: opt.Stride = None,
-    batch: opt.Batch = None,
-    learning_rate: opt.LearningRate = None,
-    consistency: opt.Consistency = None,
-    hidden: opt.Hidden = None,
-    encoder: opt.Encoder = None,
-    scheduling: opt.Scheduling = None,
-    gamma: opt.Gamma = None,
-    epsilon: opt.Epsilon = None,
-    dtype: opt.Dtype = None,
-    optimiser: opt.Optimiser = None,
-    engine: opt.Engine = "auto",
-    horizon: opt.HorizonChoice = None,
-    kernel: opt.KernelChoice = None,
-    simba_start: opt.SimbaStart = None,
-    feedthrough: opt.Feedthrough = False,
+    changes: dict[str, Any] | None = None,
 ) -> None:
     """Run methods × orders × seeds, keep every run, and write the table and the figures.
 
@@ -74,13 +57,7 @@ def command(
     entry = benchmark(dataset)
     data = ready_dataset(dataset, protocol, mirror, offline)
     store = Store(out, dataset, data.protocol)
-    changes = opt.overrides(
-        epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
-        consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
-        epsilon=epsilon, dtype=dtype, optimiser=optimiser, engine=None if engine == "auto" else engine,
-        horizon=horizon, kernel=kernel, start=simba_start, feedthrough=feedthrough or None,
-    )  # fmt: skip
-    todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes, force)
+    todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes or {}, force)
     require_writable(store.folder)
     engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(

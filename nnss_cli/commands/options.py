@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,65 +31,73 @@ Mirror = Annotated[
 Offline = Annotated[bool, typer.Option("--offline", help="Touch no network: use the cache or a mirror folder.")]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 
-_TRAINING = "Training of NN-SS (default: the paper's recipe)"
-
-
-def _training(name: str, help_text: str, metavar: str | None = None) -> Any:
-    return typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=_TRAINING, show_default=False)
-
-
-Epochs = Annotated[int | None, _training("--epochs", "Epochs at most.", "N")]
-Patience = Annotated[
-    int | None, _training("--patience", "Epochs without a 5 % better validation error before it stops.", "N")
-]
-Window = Annotated[int | None, _training("--window", "Window length L, samples.", "L")]
-Stride = Annotated[int | None, _training("--stride", "Samples between the starts of windows.", "N")]
-Batch = Annotated[int | None, _training("--batch", "Windows in a mini-batch.", "N")]
-LearningRate = Annotated[float | None, _training("--learning-rate", "Step size of Adam.", "RATE")]
-Consistency = Annotated[float | None, _training("--lambda", "Weight of the state-consistency term.", "λ")]
-Hidden = Annotated[
-    list[int] | None, _training("--hidden", "Widths of the generator's layers, e.g. --hidden 100 100.", "N …")
-]
-Encoder = Annotated[list[int] | None, _training("--encoder", "Widths of the encoder's layers.", "N …")]
-Scheduling = Annotated[str | None, _training("--scheduling", "What schedules the matrices.", "x|x+u|x+y|x+u+y")]
-Gamma = Annotated[float | None, _training("--gamma", "Bound on the spectral radius of A, at most 1.", "γ")]
-Epsilon = Annotated[float | None, _training("--eps", "Added to S in the Schur parametrisation.", "ε")]
-Optimiser = Annotated[
-    str | None, _training("--optimiser", "Adam on mini-batches, or L-BFGS on all windows.", "adam|lbfgs")
-]
-Engine = Annotated[
-    str,
-    typer.Option(
-        "--engine", metavar="auto|reference|fast", help="Compiled training, or plain torch.", rich_help_panel=_TRAINING
-    ),
-]
-Dtype = Annotated[str | None, _training("--dtype", "Precision.", "float32|float64")]
-
+_TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the paper's recipe)"
 _BASELINES = "Baselines"
 
 
-def _baseline(name: str, help_text: str, metavar: str) -> Any:
-    return typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=_BASELINES, show_default=False)
+def _fit_option(kind: Any, panel: str, name: str, metavar: str | None, help_text: str) -> Any:
+    option = typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=panel, show_default=False)
+    return Annotated[kind, option]
 
 
-HorizonChoice = Annotated[
-    str | None,
-    _baseline("--horizon", "Horizons of N4SID: MATLAB's (default of protocol paper), or searched.", "matlab|auto"),
-]
-KernelChoice = Annotated[str | None, _baseline("--kernel", "Prior of SSREGEST (default tc).", "tc|dc|ss")]
-SimbaStart = Annotated[str | None, _baseline("--simba-start", "Where SIMBa starts (default n4sid).", "n4sid|random")]
-Feedthrough = Annotated[
-    bool, typer.Option("--feedthrough", help="SSEST estimates D as well.", rich_help_panel=_BASELINES)
-]
+def _training(kind: Any, name: str, metavar: str, help_text: str) -> Any:
+    return _fit_option(kind | None, _TRAINING, name, metavar, help_text)
 
 
-def overrides(**values: Any) -> dict[str, Any]:
-    """What the user has set, with lists as tuples; None means the recipe's value."""
-    return {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in values.items()
-        if value is not None and value != []
-    }
+def _baseline(kind: Any, name: str, metavar: str | None, help_text: str) -> Any:
+    return _fit_option(kind | None, _BASELINES, name, metavar, help_text)
+
+
+# Setting of a method → the option that changes it. A method takes those that it has.
+FIT_OPTIONS: dict[str, Any] = {
+    "epochs": _training(int, "--epochs", "N", "Epochs at most."),
+    "patience": _training(int, "--patience", "N", "Epochs without a 5 % better validation error before it stops."),
+    "window": _training(int, "--window", "L", "Window length, samples."),
+    "stride": _training(int, "--stride", "N", "Samples between the starts of windows."),
+    "batch": _training(int, "--batch", "N", "Windows in a mini-batch."),
+    "learning_rate": _training(float, "--learning-rate", "RATE", "Step size of Adam."),
+    "consistency": _training(float, "--lambda", "λ", "Weight of the state-consistency term."),
+    "hidden": _training(list[int], "--hidden", "N …", "Widths of the generator's layers, e.g. --hidden 100 100."),
+    "encoder": _training(list[int], "--encoder", "N …", "Widths of the encoder's layers."),
+    "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y", "What schedules the matrices."),
+    "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
+    "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
+    "dtype": _training(str, "--dtype", "float32|float64", "Precision."),
+    "optimiser": _training(str, "--optimiser", "adam|lbfgs", "Adam on mini-batches, or L-BFGS on all windows."),
+    "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),
+    "horizon": _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched."),
+    "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),
+    "start": _baseline(str, "--simba-start", "n4sid|random", "SIMBa: where it starts (default n4sid)."),
+    "feedthrough": _baseline(bool, "--feedthrough", None, "SSEST: estimate D as well."),
+}
+
+
+def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command every option of FIT_OPTIONS; its parameter `changes` gets those that the user set."""
+    own = inspect.signature(command, eval_str=True)
+    parameters = [parameter for name, parameter in own.parameters.items() if name != "changes"]
+    parameters += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+        for name, annotation in FIT_OPTIONS.items()
+    ]
+
+    def wrapper(**given: Any) -> None:
+        changes = {name: given.pop(name) for name in FIT_OPTIONS}
+        if changes["engine"] == "auto":
+            changes["engine"] = None
+        command(
+            **given,
+            changes={
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in changes.items()
+                if value is not None and value != []
+            },
+        )
+
+    wrapper.__doc__ = command.__doc__
+    wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return wrapper
 
 
 def default_jobs() -> int:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from nnss_cli.commands import options as opt
 
 
+@opt.with_fit_options
 def command(
     dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
     order: Annotated[int, typer.Option("--order", metavar="N", help="Number of states n.")],
@@ -20,25 +21,7 @@ def command(
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     force: opt.Force = False,
-    epochs: opt.Epochs = None,
-    patience: opt.Patience = None,
-    window: opt.Window = None,
-    stride: opt.Stride = None,
-    batch: opt.Batch = None,
-    learning_rate: opt.LearningRate = None,
-    consistency: opt.Consistency = None,
-    hidden: opt.Hidden = None,
-    encoder: opt.Encoder = None,
-    scheduling: opt.Scheduling = None,
-    gamma: opt.Gamma = None,
-    epsilon: opt.Epsilon = None,
-    dtype: opt.Dtype = None,
-    optimiser: opt.Optimiser = None,
-    engine: opt.Engine = "auto",
-    horizon: opt.HorizonChoice = None,
-    kernel: opt.KernelChoice = None,
-    simba_start: opt.SimbaStart = None,
-    feedthrough: opt.Feedthrough = False,
+    changes: dict[str, Any] | None = None,
 ) -> None:
     """Train one model, keep it under results/ and print its errors."""
     from nnss_cli.commands.data import ready_dataset
@@ -53,13 +36,7 @@ def command(
     methods = select([method])
     data = ready_dataset(dataset, protocol, mirror, offline)
     store = Store(out, dataset, data.protocol)
-    changes = opt.overrides(
-        epochs=epochs, patience=patience, window=window, stride=stride, batch=batch, learning_rate=learning_rate,
-        consistency=consistency, hidden=hidden, encoder=encoder, scheduling=scheduling, gamma=gamma,
-        epsilon=epsilon, dtype=dtype, optimiser=optimiser, engine=None if engine == "auto" else engine,
-        horizon=horizon, kernel=kernel, start=simba_start, feedthrough=feedthrough or None,
-    )  # fmt: skip
-    todo = plan(store, data, methods, [order], [seed], changes, force)
+    todo = plan(store, data, methods, [order], [seed], changes or {}, force)
     require_writable(store.folder)
     with RunProgress(todo.todo) as progress:
         sweep(todo.todo, data, store, 1, progress.on_event, progress.on_result)

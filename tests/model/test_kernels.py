@@ -8,7 +8,7 @@ import torch
 from nnss_cli.datasets.record import Channels, Scaling
 from numba import njit
 
-from nnss_cli.model import kernels
+from nnss_cli.model import step_kernels
 from nnss_cli.model.architecture import SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.engine import ReferenceEngine, training_loss
@@ -141,7 +141,7 @@ def exponential() -> Callable[[np.ndarray], np.ndarray]:
     def over(x: np.ndarray) -> np.ndarray:
         out = np.empty_like(x)
         for i in range(x.size):
-            out[i] = kernels._exp(x[i])
+            out[i] = step_kernels.exp(x[i])
         return out
 
     return over
