@@ -13,16 +13,13 @@ from nnss_cli.errors import InputError
 
 @opt.with_fit_options
 def command(
-    dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
+    dataset: opt.DatasetName,
     orders: Annotated[
         list[int] | None,
         typer.Option("--orders", metavar="N …", help="Model orders, e.g. --orders 2 3 4.", show_default="the paper's"),
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")] = 10,
-    methods: Annotated[
-        list[str] | None,
-        typer.Option("--methods", metavar="NAME …", help="Methods to compare.", show_default="all"),
-    ] = None,
+    methods: opt.MethodNames = None,
     protocol: opt.ProtocolName = "paper",
     out: opt.Out = Path("results"),
     jobs: Annotated[

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from nnss_cli.commands.options import Force, Mirror, Offline
+from nnss_cli.commands.options import DatasetNames, Force, Mirror, Offline
 from nnss_cli.errors import InputError
 
 
 def command(
-    datasets: Annotated[list[str] | None, typer.Argument(metavar="[DATASET]...", help="Datasets to fetch.")] = None,
+    datasets: DatasetNames = None,
     everything: Annotated[bool, typer.Option("--all", help="Fetch every dataset.")] = False,
     show: Annotated[bool, typer.Option("--list", help="List the datasets and whether they are here.")] = False,
     file: Annotated[

@@ -10,6 +10,33 @@ from typing import Annotated, Any
 
 import typer
 
+
+def _dataset_names(incomplete: str) -> list[str]:
+    """Shell completion of a dataset's name."""
+    from nnss_cli.datasets.catalog import BENCHMARKS
+
+    return [name for name in BENCHMARKS if name.startswith(incomplete)]
+
+
+def _method_names(incomplete: str) -> list[str]:
+    """Shell completion of a method's name."""
+    from nnss_cli.methods import METHODS
+
+    return [name for name in METHODS if name.startswith(incomplete)]
+
+
+DatasetName = Annotated[
+    str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.", autocompletion=_dataset_names)
+]
+DatasetNames = Annotated[
+    list[str] | None, typer.Argument(metavar="[DATASET]...", help="Datasets to fetch.", autocompletion=_dataset_names)
+]
+MethodNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--methods", metavar="NAME …", help="Methods to compare.", show_default="all", autocompletion=_method_names
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for results.")]
 ProtocolName = Annotated[
     str,

@@ -12,7 +12,7 @@ from nnss_cli.errors import InputError
 
 
 def command(
-    dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
+    dataset: opt.DatasetName,
     largest: Annotated[int, typer.Option("--max-order", metavar="N", help="Largest order to look at.")] = 10,
     protocol: opt.ProtocolName = "paper",
     out: opt.Out = Path("results"),

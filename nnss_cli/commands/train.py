@@ -12,7 +12,7 @@ from nnss_cli.commands import options as opt
 
 @opt.with_fit_options
 def command(
-    dataset: Annotated[str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.")],
+    dataset: opt.DatasetName,
     order: Annotated[int, typer.Option("--order", metavar="N", help="Number of states n.")],
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of weights and shuffling.", min=0)] = 0,
     method: Annotated[str, typer.Option("--method", metavar="NAME", help="Method to train.")] = "nnss",
