@@ -14,7 +14,9 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
@@ -36,21 +38,22 @@ class MethodStyle:
     colour: str
     line: str | tuple[int, tuple[int, ...]]
     hatch: str
+    marker: str
 
 
 # Okabe–Ito colours, which stay apart for colour-blind readers; lightness differs for print in grey.
 STYLES: dict[str, MethodStyle] = {
-    "nnss": MethodStyle("NN-SS", "#0072B2", "-", ""),
-    "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//"),
-    "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\"),
-    "ssest": MethodStyle("SSEST", "#009E73", (0, (1, 1)), "xx"),
-    "ssregest": MethodStyle("SSREGEST", "#CC79A7", (0, (3, 1, 1, 1, 1, 1)), ".."),
+    "nnss": MethodStyle("NN-SS", "#0072B2", "-", "", "o"),
+    "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//", "s"),
+    "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\", "D"),
+    "ssest": MethodStyle("SSEST", "#009E73", (0, (1, 1)), "xx", "^"),
+    "ssregest": MethodStyle("SSREGEST", "#CC79A7", (0, (3, 1, 1, 1, 1, 1)), "..", "v"),
 }
 
 
 def style_of(method: str) -> MethodStyle:
     """The method's look; a plain one for a method that has none."""
-    return STYLES.get(method, MethodStyle(method, "0.4", "-", "++"))
+    return STYLES.get(method, MethodStyle(method, "0.4", "-", "++", "P"))
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def draw_boxplot(
                 for position, order in enumerate(orders):
                     sample = by_method.get(method, {}).get(order, [])
                     at = position + (index - (len(methods) - 1) / 2) * width
-                    if len(sample) > 1:
+                    if spreads(sample):
                         box = panel.boxplot(
                             [sample], positions=[at], widths=0.85 * width, patch_artist=True,
                             medianprops={"color": "black", "linewidth": 1.4},
@@ -99,9 +102,8 @@ def draw_boxplot(
                         )  # fmt: skip
                         box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
                     elif sample:
-                        # One run has no spread: a bar with a diamond, so that it is not taken for a box.
-                        panel.hlines(sample[0], at - 0.42 * width, at + 0.42 * width, color=look.colour, linewidth=2)
-                        panel.plot(at, sample[0], "D", color=look.colour, markersize=4, markeredgecolor="black")
+                        # no spread, no box: a marker of its own for each method
+                        panel.plot(at, sample[0], look.marker, color=look.colour, markersize=6, markeredgecolor="black")
             panel.set_xticks(range(len(orders)), [str(order) for order in orders])
             panel.set_xlim(-0.6, len(orders) - 0.4)
             panel.set_yscale("log")
@@ -109,18 +111,33 @@ def draw_boxplot(
             panel.set_xlabel("order n")
             panel.set_ylabel(f"{split} RMSE, {axes[output]}")
         handles = [
-            Patch(
-                facecolor=style_of(m).colour,
-                alpha=0.75,
-                hatch=style_of(m).hatch,
-                edgecolor="black",
-                label=style_of(m).label,
-            )
+            _legend_entry(m, any(spreads(sample) for by in values.values() for sample in by.get(m, {}).values()))
             for m in methods
         ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3 if len(values) == 1 else len(handles))
         figure.suptitle(title, fontsize=10)
     return figure
+
+
+def spreads(sample: Sequence[float]) -> bool:
+    """Whether there is a spread to draw a box of: one run, or equal ones, have none."""
+    return len(sample) > 1 and max(sample) > min(sample) * (1 + 1e-9)
+
+
+def _legend_entry(method: str, as_box: bool) -> Artist:
+    look = style_of(method)
+    if as_box:
+        return Patch(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black", label=look.label)
+    return Line2D(
+        [],
+        [],
+        linestyle="",
+        marker=look.marker,
+        color=look.colour,
+        markersize=6,
+        markeredgecolor="black",
+        label=look.label,
+    )
 
 
 def _few_log_ticks(panel: Any) -> None:

@@ -81,7 +81,7 @@ def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
                 row[split] = number(cells[split]["median"]) if split in cells else "–"
             shown = cells.get(shown_split)
             row[f"{shown_split} q1–q3"] = (
-                f"{number(shown['q1'])}–{number(shown['q3'])}" if shown is not None and ok > 1 else "–"
+                f"{shown['q1']:.3g}–{shown['q3']:.3g}" if shown is not None and ok > 1 else "–"
             )
             row["best by val."] = number(shown["best"]) if shown is not None else "–"
             rows.append(row)
