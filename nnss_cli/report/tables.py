@@ -15,11 +15,9 @@ from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, scored_spli
 SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
 
-def number(value: float | None) -> str:
-    """Four significant digits; "–" for nothing."""
-    if value is None or pd.isna(value):
-        return "–"
-    return f"{value:.4g}"
+def number(value: float | None, digits: int = 4) -> str:
+    """A few significant digits; "–" for nothing."""
+    return "–" if value is None or pd.isna(value) else f"{value:.{digits}g}"
 
 
 def failures(results: Sequence[RunResult]) -> list[str]:
@@ -78,12 +76,12 @@ def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
             row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
             cells = _cells(table, method, order)
             for split in SPLITS:
-                row[split] = number(cells[split]["median"]) if split in cells else "–"
+                row[split] = number(cells[split]["median"], 3) if split in cells else "–"
             shown = cells.get(shown_split)
             row[f"{shown_split} q1–q3"] = (
                 f"{shown['q1']:.3g}–{shown['q3']:.3g}" if shown is not None and ok > 1 else "–"
             )
-            row["best by val."] = number(shown["best"]) if shown is not None else "–"
+            row["best by val."] = number(shown["best"], 3) if shown is not None else "–"
             rows.append(row)
     return rows
 
