@@ -20,7 +20,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
-from nnss_cli.baselines.statespace import LinearStateSpace, propagate, simulation_rms
+from nnss_cli.baselines.statespace import LinearStateSpace, propagate, scored_residuals, simulation_rms
 from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
 
@@ -281,11 +281,12 @@ def ssest(
     Raises:
         InputError: the records are too short for the order.
     """
-    candidates = n4sid_candidates(train, order)
+    candidates = dict(n4sid_candidates(train, order))
     matlab = matlab_horizon(order, train[0].input_count, train[0].output_count)
-    ranked = sorted(candidates, key=lambda pair: simulation_rms(pair[1], train))
+    ranked = sorted(candidates, key=lambda horizon: simulation_rms(candidates[horizon], train))
     # MATLAB's first, where the data allow its horizon: what it converges to is the bar for the others.
-    starts = [model for horizon, model in candidates if horizon == matlab] + [model for _, model in ranked[:STARTS]]
+    chosen = dict.fromkeys([matlab, *ranked[:STARTS]])
+    starts = [candidates[horizon] for horizon in chosen if horizon in candidates]
     criteria: tuple[Criterion, ...] = ("trace", "det") if train[0].output_count > 1 else ("trace",)
     eligible = []
     for criterion in criteria:
@@ -298,11 +299,6 @@ def ssest(
 
 def criterion_value(model: LinearStateSpace, records: tuple[Record, ...], criterion: Criterion) -> float:
     """trace or log det of the residual covariance of scored simulations."""
-    e = np.concatenate(
-        [
-            record.y - model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0]
-            for record in records
-        ]
-    )
+    e = scored_residuals(model, records)
     covariance = e.T @ e / len(e)
     return float(np.trace(covariance) if criterion == "trace" else np.linalg.slogdet(covariance)[1])

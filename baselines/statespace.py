@@ -194,12 +194,18 @@ def balancing(P: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray, Flo
     return (scale[:, None] * U.T) @ L.T, R @ Vt.T * scale, sigma
 
 
-def simulation_rms(model: LinearStateSpace, records: tuple[Record, ...]) -> float:
-    """Root mean square error of free simulations from C⁺(y0 − D u0), over all samples and outputs."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        errors = [
-            model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0] - record.y
+def scored_residuals(model: LinearStateSpace, records: tuple[Record, ...]) -> FloatArray:
+    """y − ŷ of free simulations from C⁺(y0 − D u0), all records one after the other (ΣK, m)."""
+    return np.concatenate(
+        [
+            record.y - model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0]
             for record in records
         ]
-        error = float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+    )
+
+
+def simulation_rms(model: LinearStateSpace, records: tuple[Record, ...]) -> float:
+    """Root mean square of `scored_residuals`, over all samples and outputs; inf where they overflow."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = float(np.sqrt(np.mean(np.square(scored_residuals(model, records)))))
     return error if np.isfinite(error) else float("inf")

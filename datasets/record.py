@@ -170,6 +170,11 @@ class FittingData:
     channels: Channels
     """Names and units."""
 
+    def normalised(self) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+        """Train and validation records in normalised units."""
+        scale = self.scaling.apply
+        return tuple(scale(record) for record in self.train), tuple(scale(record) for record in self.val)
+
     @property
     def Ts(self) -> float:
         """Sampling time [s]."""

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Record, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import EpochCallback
 
@@ -144,17 +144,11 @@ def chosen_horizon(data: FittingData, overrides: Settings) -> str:
     return name
 
 
-def normalised(data: FittingData) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """Train and validation records in normalised units."""
-    scale = data.scaling.apply
-    return tuple(scale(record) for record in data.train), tuple(scale(record) for record in data.val)
-
-
 def subspace_model(data: FittingData, order: int, horizon: str) -> LinearStateSpace:
     """N4SID in normalised units, with MATLAB's horizons or those that validate best."""
     from nnss_cli.baselines.n4sid import n4sid, n4sid_auto
 
-    train, val = normalised(data)
+    train, val = data.normalised()
     return n4sid(train, order) if horizon == "matlab" else n4sid_auto(train, val, order)[0]
 
 
@@ -198,7 +192,7 @@ class SSEST:
         from nnss_cli.baselines.linear_model import LinearModel
         from nnss_cli.baselines.ssest import ssest
 
-        train, val = normalised(data)
+        train, val = data.normalised()
         return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"]), data))
 
 
@@ -226,7 +220,7 @@ class SSREGEST:
         from nnss_cli.baselines.linear_model import LinearModel
         from nnss_cli.baselines.ssregest import ssregest
 
-        train, _ = normalised(data)
+        train, _ = data.normalised()
         return Fit(LinearModel.of(ssregest(train, order, settings["kernel"]), data))
 
 
@@ -263,7 +257,7 @@ class SIMBa:
 
         options = SimbaOptions(**{name: value for name, value in settings.items() if name != "horizon"})
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
-        training = train_simba(*normalised(data), order, seed, options, start, on_epoch)
+        training = train_simba(*data.normalised(), order, seed, options, start, on_epoch)
         model = None if training.diverged else LinearModel.of(training.system, data)
         return Fit(model, training.epochs, training.diverged, training.history)
 

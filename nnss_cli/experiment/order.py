@@ -10,7 +10,6 @@ from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import simulation_rms
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.methods import normalised
 
 MARGIN = 1.05  # an order is good enough when its validation error is within 5 % of the lowest
 
@@ -35,7 +34,7 @@ def order_table(data: FittingData, largest: int) -> list[OrderRow]:
     Raises:
         InputError: the records are too short for any model.
     """
-    train, val = normalised(data)
+    train, val = data.normalised()
     full = high_order_model(train)
     sigma = full.hankel_singular_values()
     rows = []

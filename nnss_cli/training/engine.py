@@ -25,8 +25,12 @@ class Engine(Protocol):
         """One Adam step on the windows of these indices; the loss before the step."""
         ...
 
+    def place(self, vector: FloatArray) -> None:
+        """Take these weights, one vector in the order of `weights`."""
+        ...
+
     def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
-        """Loss over all windows and its gradient at these weights, one vector in the order of `weights`."""
+        """Take these weights; the loss over all windows and its gradient."""
         ...
 
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
@@ -85,9 +89,13 @@ class ReferenceEngine:
         self.optimiser.step()
         return loss.item()
 
+    def place(self, vector: FloatArray) -> None:
+        """Take these weights; see `Engine`."""
+        torch.nn.utils.vector_to_parameters(torch.tensor(vector, dtype=self.model.dtype), self.model.parameters())
+
     def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
         """Loss over all windows; see `Engine`."""
-        torch.nn.utils.vector_to_parameters(torch.tensor(vector, dtype=self.model.dtype), self.model.parameters())
+        self.place(vector)
         self.optimiser.zero_grad(set_to_none=False)
         loss = training_loss(self.model, self.u, self.y, self.recipe.consistency)
         loss.backward()

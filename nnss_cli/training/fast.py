@@ -106,9 +106,13 @@ class FastEngine:
         self.layers = self.model_weights.encoder(self.model_weights.vector)
         self.layer_gradients = self.model_weights.encoder(self.gradient)
 
+    def place(self, vector: FloatArray) -> None:
+        """Take these weights; see `Engine`."""
+        self.model_weights.vector[:] = vector
+
     def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
         """Loss over all windows; see `Engine`."""
-        self.model_weights.vector[:] = vector
+        self.place(vector)
         loss = self.evaluate(np.arange(self.u.shape[2]))
         return loss, self.gradient.astype(np.float64)
 

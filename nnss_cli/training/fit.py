@@ -59,13 +59,11 @@ def train_nnss(
         InputError: the window is longer than the training record.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
-    scaling = data.scaling
-    train = tuple(scaling.apply(record) for record in data.train)
-    val = tuple(scaling.apply(record) for record in data.val)
+    train, val = data.normalised()
     u, y = sliding_windows(train, recipe.window, recipe.stride)
 
     architecture = recipe.architecture(order, data.input_count, data.output_count)
-    model = NNSS(architecture, scaling, data.channels, data.Ts)
+    model = NNSS(architecture, data.scaling, data.channels, data.Ts)
     model.initialise(named_random(seed, "weights"))
     engine = build_engine(model, u, y, recipe)
 
@@ -125,7 +123,7 @@ def _lbfgs(engine: Engine, recipe: Recipe, watch: _Watch) -> None:
     import scipy.optimize
 
     def after_iteration(intermediate_result: scipy.optimize.OptimizeResult) -> None:
-        engine.loss_and_gradient(intermediate_result.x)  # the line search may have left other weights behind
+        engine.place(intermediate_result.x)  # the line search may have left other weights behind
         if not watch.goes_on(float(intermediate_result.fun)):
             raise StopIteration
 

@@ -28,7 +28,6 @@ from nnss_cli.datasets.record import Dataset, Record
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import simulate_splits
-from nnss_cli.methods import normalised
 
 
 def experiments(plant: LinearStateSpace, count: int, K: int, seed: int, noise: float = 0.0) -> tuple[Record, ...]:
@@ -196,7 +195,7 @@ def real(mirror: Path) -> Callable[[str], Dataset]:
 @pytest.mark.parametrize(("name", "order"), PAIRS)
 def test_matlabs_numbers_on_the_papers_records(name: str, order: int, real: Callable[[str], Dataset]) -> None:
     dataset = real(name)
-    train, _ = normalised(dataset.fitting)
+    train, _ = dataset.fitting.normalised()
     scores, _ = simulate_splits(LinearModel.of(n4sid(train, order), dataset.fitting), dataset)
     if (name, order) in GOLDEN:
         np.testing.assert_allclose([score.rmse for score in scores], GOLDEN[name, order], rtol=2e-3, atol=1e-4)
@@ -214,7 +213,7 @@ def test_matlabs_numbers_on_the_papers_records(name: str, order: int, real: Call
 
 @pytest.mark.parametrize("order", [4, 5, 6])
 def test_the_search_halves_matlabs_error_on_the_robot_arm(order: int, real: Callable[[str], Dataset]) -> None:
-    train, val = normalised(real("robotarm").fitting)
+    train, val = real("robotarm").fitting.normalised()
     model, _ = n4sid_auto(train, val, order)
     assert simulation_rms(model, train) < 0.5 * simulation_rms(n4sid(train, order), train)
 

@@ -13,8 +13,6 @@ from nnss_cli.datasets.catalog import BENCHMARKS, load
 from nnss_cli.datasets.download import fetch
 from nnss_cli.datasets.record import Record
 
-from nnss_cli.methods import normalised
-
 
 def records_of(plant: LinearStateSpace, seed: int, noise: float, K: int = 200, count: int = 1) -> tuple[Record, ...]:
     random = np.random.default_rng(seed)
@@ -106,5 +104,5 @@ def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:
 )  # fmt: skip
 def test_the_criterion_is_not_above_matlabs(name: str, order: int, bar: float, mirror: Path) -> None:
     fetch(BENCHMARKS[name], mirror=str(mirror), offline=True)
-    train, val = normalised(load(name, "paper").fitting)
+    train, val = load(name, "paper").fitting.normalised()
     assert simulation_rms(ssest(train, val, order), train) <= bar

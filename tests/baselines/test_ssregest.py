@@ -13,7 +13,6 @@ from nnss_cli.datasets.record import Record
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import simulate_splits
-from nnss_cli.methods import normalised
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -81,7 +80,7 @@ def test_too_short_a_record_is_named() -> None:
 def test_train_errors_are_not_above_the_printed_ones(name: str, order: int, mirror: Path) -> None:
     fetch(BENCHMARKS[name], mirror=str(mirror), offline=True)
     dataset = load(name, "paper")
-    train, _ = normalised(dataset.fitting)
+    train, _ = dataset.fitting.normalised()
     scores, _ = simulate_splits(LinearModel.of(ssregest(train, order), dataset.fitting), dataset)
     printed = pd.read_csv(Path(__file__).parents[2] / "nnss_cli/report/paper_tables.csv")
     printed = printed[(printed["dataset"] == name) & (printed["method"] == "ssregest") & (printed["split"] == "train")]
