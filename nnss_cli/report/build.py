@@ -174,7 +174,19 @@ def _simulation(store: Store, results: Sequence[RunResult]) -> Figure | None:
         simulated[method] = (f"(n = {result.spec.order})", signals[f"{split}/0/y_sim"])
     axes = _output_axes(results[0])
     title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} record, each method's best run by validation"
-    return figures.draw_simulation(time, measured, simulated, axes, unit, title)
+    return figures.draw_simulation(time, measured, simulated, axes, unit, title, transient(measured))
+
+
+def transient(measured: FloatArray) -> slice | None:
+    """The twelfth of a long record (200 samples or more) over which its outputs range most; else None."""
+    K = len(measured)
+    if K < 200:
+        return None
+    length = max(60, K // 12)
+    spread = np.maximum(measured.max(axis=0) - measured.min(axis=0), np.finfo(float).tiny)
+    windows = np.lib.stride_tricks.sliding_window_view(measured / spread, length, axis=0)
+    start = int(np.argmax((windows.max(axis=2) - windows.min(axis=2)).sum(axis=1)))
+    return slice(start, start + length)
 
 
 def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:

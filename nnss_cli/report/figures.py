@@ -156,9 +156,9 @@ def _few_log_ticks(panel: Any) -> None:
 
 def draw_simulation(
     time: FloatArray, measured: FloatArray, simulated: Mapping[str, tuple[str, FloatArray]],
-    outputs: Sequence[Axis], time_unit: str, title: str,
+    outputs: Sequence[Axis], time_unit: str, title: str, zoom: slice | None = None,
 ) -> Figure:  # fmt: skip
-    """Measured and simulated outputs, one panel an output.
+    """Measured and simulated outputs, one row an output, with a second column for a part of a long record.
 
     Args:
         time: instants (K,).
@@ -167,27 +167,34 @@ def draw_simulation(
         outputs: names and units.
         time_unit: unit of `time`.
         title: of the figure.
+        zoom: samples of the second column; None for none.
     """
+    parts = [slice(None)] if zoom is None else [slice(None), zoom]
     with plt.rc_context(STYLE):
         m = measured.shape[1]
         figure, panels = plt.subplots(
-            m, 1, figsize=(7.2, 1.2 + 1.9 * m), sharex=True, squeeze=False, layout="constrained"
-        )
-        for i, panel in enumerate(panels[:, 0]):
-            panel.plot(time, measured[:, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
-            for method, (detail, y) in simulated.items():
-                look = style_of(method)
-                panel.plot(
-                    time,
-                    y[:, i],
-                    color=look.colour,
-                    linestyle=look.line,
-                    linewidth=1.1,
-                    label=f"{look.label} {detail}",
-                )
-            panel.set_ylabel(str(outputs[i]))
-            panel.margins(x=0.01)
-        panels[-1, 0].set_xlabel(f"time [{time_unit}]")
+            m, len(parts), figsize=(7.2 if zoom is None else 9.6, 1.2 + 1.9 * m), sharex="col", squeeze=False,
+            layout="constrained", width_ratios=[3, 2][: len(parts)],
+        )  # fmt: skip
+        for i in range(m):
+            for part, panel in zip(parts, panels[i], strict=True):
+                panel.plot(time[part], measured[part, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
+                for method, (detail, y) in simulated.items():
+                    look = style_of(method)
+                    panel.plot(
+                        time[part],
+                        y[part, i],
+                        color=look.colour,
+                        linestyle=look.line,
+                        linewidth=1.1,
+                        label=f"{look.label} {detail}",
+                    )
+                panel.margins(x=0.01)
+            panels[i, 0].set_ylabel(str(outputs[i]))
+            if zoom is not None:  # where the second column stands in the first
+                panels[i, 0].axvspan(time[zoom][0], time[zoom][-1], color="0.85", zorder=0)
+        for panel in panels[-1]:
+            panel.set_xlabel(f"time [{time_unit}]")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
         figure.suptitle(title, fontsize=10)

@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
 from nnss_cli.report.aggregate import COLUMNS, best_run, long_table, summary
-from nnss_cli.report.build import write_comparison, write_report
+from nnss_cli.report.build import transient, write_comparison, write_report
 from nnss_cli.report.tables import paper_comparison, rmse_markdown, terminal_rows
 
 CHANNELS = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
@@ -98,3 +99,12 @@ def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> Non
     assert "nan" not in text.lower()
     assert set(pd.read_csv(folder / "rmse.csv")["split"]) == {"train", "val", "test"}
     assert write_comparison(Store(out, "twotank-sim", "paper"))
+
+
+def test_the_zoom_shows_where_the_record_changes_most() -> None:
+    step = np.where(np.arange(1200) < 700, 0.0, 1.0)[:, None] + 0.1 * np.sin(np.arange(1200))[:, None]
+    part = transient(step)
+    assert part.start < 700 < part.stop
+    assert part.stop - part.start == 100
+    assert transient(step[:150]) is None
+    assert transient(np.ones((300, 2))) == slice(0, 60)
