@@ -27,11 +27,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
-ROWS = 64  # samples in a weight-gradient product of a single window: enough for the matrix kernel
-NARROW = 8  # inputs up to which a plain loop beats the matrix kernel
+ROWS = 64  # rows in a weight-gradient product, at least: a tile's sums stay in registers for so long
 # Reordering and contraction are allowed; NaN and infinity are not assumed away, so that a
 # divergence still reaches the loss.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -123,7 +124,9 @@ def _step(
     g = theta.dtype.type(0.5 / gamma**2)
     half = theta.dtype.type(0.5)
     diagonal = theta.dtype.type(0.5 * epsilon * (1 + 1 / gamma**2))
-    V, B, C = 4 * n * n, 5 * n * n, 5 * n * n + n * r
+    V = 4 * n * n
+    B = V + n * (n - 1) // 2
+    C = B + n * r
     for i in range(n):
         for j in range(i, n):
             upper, lower = LU[i * n + j], LU[j * n + i]
@@ -138,11 +141,10 @@ def _step(
                 for s in range(b):
                     upper[s] += diagonal
             else:
-                v1, v2 = theta[V + i * n + j], theta[V + j * n + i]
+                skew = theta[V + i * (2 * n - i - 1) // 2 + j - i - 1]
                 for s in range(b):
-                    skew = v1[s] - v2[s]
-                    lower[s] = upper[s] - skew
-                    upper[s] = upper[s] + skew
+                    lower[s] = upper[s] - skew[s]
+                    upper[s] = upper[s] + skew[s]
     for k in range(n):
         pivot = LU[k * n + k]
         for i in range(k + 1, n):
@@ -219,7 +221,9 @@ def _step_adjoint(
     r, m = u.shape[0], d_y.shape[0]
     g = theta.dtype.type(0.5 / gamma**2)
     half = theta.dtype.type(0.5)
-    V, B, C = 4 * n * n, 5 * n * n, 5 * n * n + n * r
+    V = 4 * n * n
+    B = V + n * (n - 1) // 2
+    C = B + n * r
     lam = work[:n]
     for j in range(n):
         for s in range(b):
@@ -269,10 +273,10 @@ def _step_adjoint(
                 d_w1[s] = q[k, s] * mu[j, s] - g * (w1_lam[s] * z[j, s] + w1_z[s] * lam[j, s])
                 d_w2[s] -= half * (w2_lam[s] * z[j, s] + q[k, s] * lam[j, s])
     for i in range(n):
-        for j in range(n):
-            d_v = d_theta[V + i * n + j]
+        for j in range(i + 1, n):
+            d_skew = d_theta[V + i * (2 * n - i - 1) // 2 + j - i - 1]
             for s in range(b):
-                d_v[s] = z[i, s] * lam[j, s] - lam[i, s] * z[j, s]
+                d_skew[s] = z[i, s] * lam[j, s] - lam[i, s] * z[j, s]
         for c in range(r):
             d_b = d_theta[B + i * r + c]
             for s in range(b):
@@ -287,115 +291,296 @@ def _step_adjoint(
                 d_x[j, s] += row[s] * d_y[o, s]
 
 
-@part
-def _product(W: Any, z: Any, out: Any) -> None:
-    """out = W z for columns z (h_in, b)."""
-    after, before = W.shape
-    b = z.shape[1]
-    if b == 1:
-        np.dot(W, z.reshape(before), out.reshape(after))
-    elif before > NARROW:
-        np.dot(W, z, out)
-    else:  # the matrix kernel does not pay for a few columns
-        for i in range(after):
-            row = out[i]
-            for s in range(b):
-                row[s] = 0
-            for j in range(before):
-                w, source = W[i, j], z[j]
-                for s in range(b):
-                    row[s] += w * source[s]
+def _tile(rows: int, vectors: int) -> Any:
+    """An intrinsic for C = start + A B on a tile of `rows` × `vectors`, its sums kept in vector registers.
+
+    The arguments are arrays, each with the tile's place and strides: A (rows, depth), B (depth, ·) with contiguous
+    rows, `start` and C. BLAS libraries are slow for such small matrices, and choose their kernels by means that
+    are out of our hands.
+    """
+
+    @intrinsic
+    def tile(
+        typingctx: Any, A: Any, a_at: Any, a_row: Any, a_step: Any, B: Any, b_at: Any, b_step: Any,
+        start: Any, s_at: Any, s_row: Any, C: Any, c_at: Any, c_row: Any, depth: Any,
+    ) -> Any:  # fmt: skip
+        del typingctx
+        place = types.intp
+        signature = types.void(
+            A, place, place, place, B, place, place, start, place, place, C, place, place, place
+        )
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            A, a_at, a_row, a_step, B, b_at, b_step, start, s_at, s_row, C, c_at, c_row, depth = args
+            A, B, start, C = (
+                context.make_array(signature.args[at])(context, builder, args[at]).data for at in (0, 4, 7, 10)
+            )
+            scalar = context.get_data_type(signature.args[0].dtype)
+            size = signature.args[0].dtype.bitwidth // 8
+            lanes = VECTOR // size
+            vector = ir.VectorType(scalar, lanes)
+            undefined, word = ir.Constant(vector, ir.Undefined), ir.IntType(32)
+            all_first = ir.Constant(ir.VectorType(word, lanes), [0] * lanes)
+
+            def number(value: int) -> Any:
+                return ir.Constant(depth.type, value)
+
+            def pointers(array: Any, at: Any, row: Any, count: int) -> list[Any]:
+                firsts = [builder.add(at, builder.mul(row, number(i))) for i in range(count)]
+                return [
+                    builder.bitcast(builder.gep(array, [builder.add(first, number(v * lanes))]), vector.as_pointer())
+                    for first in firsts
+                    for v in range(vectors)
+                ]
+
+            begun = [builder.load(where, align=size) for where in pointers(start, s_at, s_row, rows)]
+            a_rows = [builder.add(a_at, builder.mul(a_row, number(i))) for i in range(rows)]
+            before, loop, after = builder.block, builder.append_basic_block(), builder.append_basic_block()
+            builder.branch(loop)
+
+            builder.position_at_end(loop)  # over the depth, which is at least 1
+            k = builder.phi(depth.type)
+            k.add_incoming(number(0), before)
+            sums = []
+            for value in begun:
+                sums.append(builder.phi(vector))
+                sums[-1].add_incoming(value, before)
+            b_row = builder.add(b_at, builder.mul(k, b_step))
+            columns = [builder.load(where, align=size) for where in pointers(B, b_row, b_row, 1)]
+            a_column = builder.mul(k, a_step)
+            added = []
+            for i in range(rows):
+                factor = builder.load(builder.gep(A, [builder.add(a_rows[i], a_column)]))
+                factor = builder.insert_element(undefined, factor, ir.Constant(word, 0))
+                factor = builder.shuffle_vector(factor, undefined, all_first)
+                for v in range(vectors):
+                    product = builder.fmul(factor, columns[v], flags=("contract",))
+                    added.append(builder.fadd(product, sums[i * vectors + v], flags=("contract",)))
+            following = builder.add(k, number(1))
+            k.add_incoming(following, loop)
+            for value, total in zip(added, sums, strict=True):
+                total.add_incoming(value, loop)
+            builder.cbranch(builder.icmp_signed("<", following, depth), loop, after)
+
+            builder.position_at_end(after)
+            for value, where in zip(added, pointers(C, c_at, c_row, rows), strict=True):
+                builder.store(value, where, align=size)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    return tile
+
+
+def _vector_bytes() -> tuple[int, bool]:
+    """Bytes in a vector register of this machine, and whether there are 32 of them instead of 16."""
+    features = get_host_cpu_features()
+    if features.get("avx512f"):
+        return 64, True
+    return (32, False) if features.get("avx2") else (16, "neon" in features)
+
+
+VECTOR, PAIRED = _vector_bytes()
+TALL = 8  # rows of the large tiles
+_tile_8x2, _tile_8x1, _tile_1x8, _tile_1x4, _tile_1x1 = _tile(8, 2), _tile(8, 1), _tile(1, 8), _tile(1, 4), _tile(1, 1)
 
 
 @part
-def _affine(z: Any, W: Any, bias: Any, sigmoid: bool, out: Any) -> None:
-    """out = W z + bias, or its sigmoid."""
-    _product(W, z, out)
-    after, b = out.shape
-    flat = out.reshape(after * b)
-    if b == 1:
-        for i in range(after):
-            flat[i] += bias[i]
-    else:
-        for i in range(after):
-            row, shift = out[i], bias[i]
-            for s in range(b):
-                row[s] += shift
-    if sigmoid:
-        one = out.dtype.type(1)
-        for i in range(flat.size):
-            flat[i] = one / (one + _exp(-flat[i]))
+def _gemm(
+    A: Any, a_row: int, a_step: int, B: Any, b_step: int, start: Any, start_row: int, C: Any, c_row: int,
+    rows: int, columns: int, depth: int,
+) -> None:  # fmt: skip
+    """C = start + A B, all flat: A (rows, depth) with strides `a_row` and `a_step`, B and C with contiguous rows.
+
+    `columns` is a multiple of the lanes. Where `start` is C itself, the rows are a multiple of `TALL`.
+    """
+    lanes = VECTOR // C.itemsize
+    whole = rows - rows % TALL
+    j = 0
+    while j < columns:
+        wide = PAIRED and j + 2 * lanes <= columns
+        for i in range(0, whole, TALL):
+            at = i * start_row + j
+            if wide:
+                _tile_8x2(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+            else:
+                _tile_8x1(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+        j += 2 * lanes if wide else lanes
+    # The rows that are left, one by one; the last tile of a row may do some columns again.
+    width = 8 * lanes if columns >= 8 * lanes else 4 * lanes if columns >= 4 * lanes else lanes
+    for i in range(whole, rows):
+        for j in range(0, columns, width):
+            j = min(j, columns - width)
+            at = i * start_row + j
+            if width == 8 * lanes:
+                _tile_1x8(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+            elif width == 4 * lanes:
+                _tile_1x4(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+            else:
+                _tile_1x1(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
 
 
 @part
-def _add_outer(delta: Any, z: Any, product: Any, target: Any, bias: Any) -> None:
-    """target += Σ δ zᵀ and bias += Σ δ over (T, h, b): one product for b = 1, else one a sample."""
-    T, after, b = delta.shape
-    before = z.shape[1]
-    if b == 1:
-        rows = delta.reshape(T, after)
-        np.dot(rows.T, z.reshape(T, before), product)
-        for i in range(after):
-            for j in range(before):
-                target[i, j] += product[i, j]
-        for k in range(T):
-            for i in range(after):
-                bias[i] += rows[k, i]
-        return
-    for k in range(T):
-        for i in range(after):
-            row = delta[k, i]
-            total = bias.dtype.type(0)
-            for s in range(b):
-                total += row[s]
-            bias[i] += total
-        if before > NARROW:
-            np.dot(delta[k], z[k].T, product)
-            source, to = product.reshape(product.size), target.reshape(target.size)
-            for i in range(source.size):
-                to[i] += source[i]
-        else:
-            for i in range(after):
-                row = delta[k, i]
-                for j in range(before):
-                    column = z[k, j]
-                    total = bias.dtype.type(0)
-                    for s in range(b):
-                        total += row[s] * column[s]
-                    target[i, j] += total
+def _sigmoid(z: Any) -> None:
+    """σ in place, flat."""
+    one = z.dtype.type(1)
+    for i in range(z.size):
+        z[i] = one / (one + _exp(-z[i]))
 
 
 @part
-def _through_sigmoid(d_out: Any, activation: Any, delta: Any) -> None:
-    """δ = ∂J/∂σ · σ (1 − σ), all flat."""
+def _through_sigmoid(delta: Any, activation: Any) -> None:
+    """δ = ∂J/∂σ · σ (1 − σ) in place, all flat."""
     one = delta.dtype.type(1)
     for i in range(delta.size):
-        delta[i] = d_out[i] * activation[i] * (one - activation[i])
+        delta[i] = delta[i] * activation[i] * (one - activation[i])
 
 
 @part
-def _back_narrow(W: Any, delta: Any, d_rho: Any) -> None:
-    """d_rho = Wᵀ δ for a few inputs."""
-    after, rho = W.shape
-    for i in range(rho):
-        row = d_rho[i]
-        for s in range(row.size):
-            row[s] = 0
-        for j in range(after):
-            w, source = W[j, i], delta[j]
-            for s in range(row.size):
-                row[s] += w * source[s]
+def _add_rows(source: Any, row: int, rows: int, total: Any) -> None:
+    """total += the sum of the rows of `source`."""
+    for k in range(rows):
+        at = source[k * row : k * row + total.size]
+        for i in range(total.size):
+            total[i] += at[i]
+
+
+@part
+def _padded(width: int, lanes: int) -> int:
+    """A row's length in memory: whole vectors."""
+    return (width + lanes - 1) // lanes * lanes
+
+
+@part
+def _lay_out(weights: Any, widths: Any, n: int, forward: Any, biases: Any, backward: Any) -> None:
+    """The generator's weights as the products want them: rows of whole vectors, zero beyond a layer's width.
+
+    `forward` takes Wᵀ of each layer, `backward` W where it is not empty. Of V the last layer keeps V − Vᵀ above
+    the diagonal, for nothing else of it counts: its rows are then W, V, B, C with n(n−1)/2 rows for V.
+    """
+    lanes = VECTOR // weights.itemsize
+    last = len(widths) - 2
+    at, row_at, bias_at, back_at = 0, 0, 0, 0
+    for layer in range(last + 1):
+        before, after = widths[layer], widths[layer + 1]
+        rows = after if layer < last else after - n * (n + 1) // 2
+        long, back = _padded(rows, lanes), _padded(before, lanes)
+        W, bias = weights[at : at + after * before], weights[at + after * before : at + after * (before + 1)]
+        WT, shift = forward[row_at : row_at + before * long], biases[bias_at : bias_at + long]
+        shift[:] = 0
+        if long > rows:
+            WT[:] = 0
+        for i in range(rows):
+            plus, minus = (i, -1) if layer < last else _sources(i, n)
+            shift[i] = bias[plus] if minus < 0 else bias[plus] - bias[minus]
+            row = W[plus * before : (plus + 1) * before]
+            if minus >= 0:
+                other = W[minus * before : (minus + 1) * before]
+                for j in range(before):
+                    WT[j * long + i] = row[j] - other[j]
+            else:
+                for j in range(before):
+                    WT[j * long + i] = row[j]
+            if backward.size > 0:
+                target = backward[back_at + i * back : back_at + (i + 1) * back]
+                for j in range(before):
+                    target[j] = row[j] if minus < 0 else row[j] - W[minus * before + j]
+                target[before:] = 0
+        at += after * (before + 1)
+        row_at += before * long
+        bias_at += long
+        if backward.size > 0:
+            back_at += rows * back
+
+
+@part
+def _sources(i: int, n: int) -> tuple[int, int]:
+    """Which rows of the last layer make row i of the collapsed one: their difference, or the first alone (−1)."""
+    skew = n * (n - 1) // 2
+    if i < 4 * n * n:
+        return i, -1
+    if i >= 4 * n * n + skew:
+        return i + n * n - skew, -1
+    i -= 4 * n * n
+    row = 0
+    while i >= n - 1 - row:
+        i -= n - 1 - row
+        row += 1
+    column = row + 1 + i
+    return 4 * n * n + row * n + column, 4 * n * n + column * n + row
+
+
+@part
+def _spread(collected: Any, sums: Any, widths: Any, n: int, gradient: Any) -> None:
+    """The inverse of `_lay_out` for gradients: from padded rows of ∂J/∂W and ∂J/∂bias to the flat vector."""
+    lanes = VECTOR // gradient.itemsize
+    last = len(widths) - 2
+    at, row_at, bias_at = 0, 0, 0
+    for layer in range(last + 1):
+        before, after = widths[layer], widths[layer + 1]
+        rows = after if layer < last else after - n * (n + 1) // 2
+        back = _padded(before, lanes)
+        dW, d_bias = gradient[at : at + after * before], gradient[at + after * before : at + after * (before + 1)]
+        if layer == last:
+            dW[:] = 0
+            d_bias[:] = 0
+        for i in range(rows):
+            plus, minus = (i, -1) if layer < last else _sources(i, n)
+            source = collected[row_at + i * back : row_at + i * back + before]
+            dW[plus * before : (plus + 1) * before] = source
+            d_bias[plus] = sums[bias_at + i]
+            if minus >= 0:
+                dW[minus * before : (minus + 1) * before] = -source
+                d_bias[minus] = -sums[bias_at + i]
+        at += after * (before + 1)
+        row_at += _padded(rows, TALL) * back
+        bias_at += _padded(rows, lanes)
 
 
 @part
 def _set_rho(x: Any, u: Any, y_previous: Any, with_u: bool, with_y: bool, rho: Any) -> None:
-    """The scheduling vector (ρ, b): x, then u, then the previous output."""
-    n, r = len(x), len(u)
-    rho[:n] = x
-    if with_u:
-        rho[n : n + r] = u
-    if with_y:
-        rho[len(rho) - len(y_previous) :] = y_previous
+    """The scheduling vectors, a row each: x, then u, then the previous output."""
+    n, b = x.shape
+    for s in range(b):
+        row = rho[s]
+        for i in range(n):
+            row[i] = x[i, s]
+        at = n
+        if with_u:
+            for i in range(len(u)):
+                row[at + i] = u[i, s]
+            at += len(u)
+        if with_y:
+            for i in range(len(y_previous)):
+                row[at + i] = y_previous[i, s]
+
+
+@part
+def _transpose(rows: Any, row: int, columns: Any) -> None:
+    """columns (P, b) from b rows that begin `row` apart."""
+    P, b = columns.shape
+    for i in range(P):
+        target = columns[i]
+        for s in range(b):
+            target[s] = rows[s * row + i]
+
+
+@part
+def _transpose_back(columns: Any, rows: Any, row: int) -> None:
+    """The inverse of `_transpose`."""
+    P, b = columns.shape
+    for s in range(b):
+        target = rows[s * row : s * row + P]
+        for i in range(P):
+            target[i] = columns[i, s]
+
+
+@part
+def _aligned(count: int, dtype: Any) -> Any:
+    """Numbers that begin at a whole cache line."""
+    space = np.empty(count + 16, dtype)
+    skip = (-space.ctypes.data % 64) // space.itemsize
+    return space[skip : skip + count]
 
 
 @part
@@ -425,39 +610,44 @@ def free_run(
         x: states (K, n), written.
     """
     K, m, n, r = len(u), len(y0), len(x0), u.shape[1]
-    depth = len(widths) - 2
-    P = widths[-1]
-    state, following = np.empty((n, 1), weights.dtype), np.empty((n, 1), weights.dtype)
+    dtype, lanes = weights.dtype, VECTOR // weights.itemsize
+    layers = len(widths) - 1
+    long = np.empty(layers + 1, np.int64)
+    count, widest = 0, 0
+    for layer in range(layers + 1):
+        long[layer] = _padded(widths[layer], lanes)
+        widest = max(widest, long[layer])
+    for layer in range(layers):
+        count += widths[layer] * long[layer + 1]
+    P = widths[layers] - n * (n + 1) // 2
+    long[layers] = _padded(P, lanes)
+    forward, biases = _aligned(count, dtype), _aligned(np.sum(long[1:]), dtype)
+    _lay_out(weights, widths, n, forward, biases, forward[:0])
+    one, two = _aligned(widest, dtype), _aligned(widest, dtype)
+    state, following = np.empty((n, 1), dtype), np.empty((n, 1), dtype)
     state[:, 0] = x0
-    previous, output, u_now = (
-        np.empty((m, 1), weights.dtype),
-        np.empty((m, 1), weights.dtype),
-        np.empty((r, 1), weights.dtype),
-    )
+    previous, output, u_now = np.empty((m, 1), dtype), np.empty((m, 1), dtype), np.empty((r, 1), dtype)
     previous[:, 0] = y0
-    theta = np.empty((P, 1), weights.dtype)
-    LU, z, q = np.empty((n * n, 1), weights.dtype), np.empty((n, 1), weights.dtype), np.empty((2 * n, 1), weights.dtype)
-    offsets = np.zeros(depth + 2, np.int64)
-    for layer in range(depth + 1):
-        offsets[layer + 1] = offsets[layer] + widths[layer]
-    columns = np.empty(offsets[depth + 1], weights.dtype)
+    theta = np.empty((P, 1), dtype)
+    LU, z, q = np.empty((n * n, 1), dtype), np.empty((n, 1), dtype), np.empty((2 * n, 1), dtype)
     for k in range(K):
         for c in range(r):
             u_now[c, 0] = u[k, c]
-        z_in = columns[: widths[0]].reshape(widths[0], 1)
-        _set_rho(state, u_now, previous, with_u, with_y, z_in)
-        at = 0
-        for layer in range(depth + 1):
-            before, after = widths[layer], widths[layer + 1]
-            W = weights[at : at + after * before].reshape(after, before)
-            bias = weights[at + after * before : at + after * before + after]
-            at += after * (before + 1)
-            if layer < depth:
-                z_out = columns[offsets[layer + 1] : offsets[layer + 1] + after].reshape(after, 1)
-                _affine(z_in, W, bias, True, z_out)
-                z_in = z_out
-            else:
-                _affine(z_in, W, bias, False, theta)
+        source, target = one, two
+        _set_rho(state, u_now, previous, with_u, with_y, source.reshape(1, source.size))
+        at, bias_at = 0, 0
+        for layer in range(layers):
+            after = long[layer + 1]
+            _gemm(
+                source, 0, 1, forward[at:], after, biases[bias_at:], 0, target, 0, 1, after, widths[layer]
+            )  # fmt: skip
+            at += widths[layer] * after
+            bias_at += after
+            if layer < layers - 1:
+                _sigmoid(target[:after])
+            source, target = target, source
+        for i in range(P):
+            theta[i, 0] = source[i]
         for i in range(n):
             x[k, i] = state[i, 0]
         _step(theta, state, u_now, gamma, epsilon, LU, z, q, following, output)
@@ -495,28 +685,43 @@ def loss_and_gradient(
         space: at least `workspace_size` numbers, overwritten; fresh memory each step would cost more
             in page faults than the algebra.
     """
-    dtype = weights.dtype
+    dtype, lanes = weights.dtype, VECTOR // weights.itemsize
     first_previous = y[0]
     if with_y:
         u, y = u[1:], y[1:]
     L, b = len(u), u.shape[2]
     n, m = E.shape
-    depth, P, rho = len(widths) - 2, widths[-1], widths[0]
-    starts = np.zeros(depth + 2, np.int64)  # of each layer's weights
-    places = np.zeros(depth + 2, np.int64)  # of each layer's activations: ρ first
+    depth, rho = len(widths) - 2, widths[0]
+    P = widths[depth + 1] - n * (n + 1) // 2  # V counts by its skew part alone
+    rows, long = widths.copy(), np.empty(depth + 2, np.int64)
+    rows[depth + 1] = P
+    for layer in range(depth + 2):
+        long[layer] = _padded(rows[layer], lanes)
+    span = max(1, ROWS // b)  # samples that make one weight-gradient product
+    # where each layer's parts begin: Wᵀ, bias, W, ∂J/∂W, activations, δ
+    ahead, shifts, back, found, places, errors = np.zeros((6, depth + 2), np.int64)
     for layer in range(depth + 1):
-        starts[layer + 1] = starts[layer] + widths[layer + 1] * (widths[layer] + 1)
-        places[layer + 1] = places[layer] + L * b * widths[layer]
-    # forwards: everything that the adjoint needs is kept
-    span = ROWS if b == 1 else 1  # samples that make one weight-gradient product
-    widest, total_width = 0, 0
-    for layer in range(1, depth + 2):
-        widest = max(widest, widths[layer])
-        total_width += widths[layer]
-    used = 0
+        ahead[layer + 1] = ahead[layer] + rows[layer] * long[layer + 1]
+        shifts[layer + 1] = shifts[layer] + long[layer + 1]
+        back[layer + 1] = back[layer] + rows[layer + 1] * long[layer]
+        found[layer + 1] = found[layer] + _padded(rows[layer + 1], TALL) * long[layer]
+        places[layer + 1] = places[layer] + L * b * long[layer]
+        errors[layer + 1] = errors[layer] + span * b * long[layer + 1]
+    used = (-space.ctypes.data % 64) // space.itemsize
     kept, used = _take(space, used, places[depth + 1])
+    forward, used = _take(space, used, ahead[depth + 1])
+    biases, used = _take(space, used, shifts[depth + 1])
+    backward, used = _take(space, used, back[depth + 1])
+    collected, used = _take(space, used, found[depth + 1])
+    sums, used = _take(space, used, shifts[depth + 1])
+    deltas, used = _take(space, used, errors[depth + 1])
+    zeros, used = _take(space, used, np.max(long))
+    out, used = _take(space, used, b * long[depth + 1])
+    d_rho, used = _take(space, used, b * long[0])
     flat, used = _take(space, used, L * P * b)
     theta = flat.reshape(L, P, b)
+    flat, used = _take(space, used, P * b)
+    d_theta = flat.reshape(P, b)
     flat, used = _take(space, used, (L + 1) * n * b)
     x = flat.reshape(L + 1, n, b)
     flat, used = _take(space, used, L * m * b)
@@ -527,12 +732,9 @@ def loss_and_gradient(
     z = flat.reshape(L, n, b)
     flat, used = _take(space, used, L * 2 * n * b)
     q = flat.reshape(L, 2 * n, b)
-    deltas, used = _take(space, used, total_width * span * b)  # δ of every layer, for `span` samples
-    transposed, used = _take(space, used, starts[depth + 1])
-    product, used = _take(space, used, widest * max(widest, rho))
-    d_in, used = _take(space, used, b * widest)
-    flat, used = _take(space, used, P * b)
-    d_theta = flat.reshape(P, b)
+    _lay_out(weights, widths, n, forward, biases, backward)
+
+    # forwards: everything that the adjoint needs is kept
     for i in range(n):
         for s in range(b):
             total = e[i]
@@ -541,31 +743,25 @@ def loss_and_gradient(
             x[0, i, s] = total
     for k in range(L):
         previous = (first_previous if with_y else y[0]) if k == 0 else y_sim[k - 1]
-        z_in = kept[k * b * rho : (k + 1) * b * rho].reshape(rho, b)
-        _set_rho(x[k], u[k], previous, with_u, with_y, z_in)
+        here = k * b
+        _set_rho(x[k], u[k], previous, with_u, with_y, kept[here * long[0] : (here + b) * long[0]].reshape(b, long[0]))
         for layer in range(depth + 1):
-            before, after = widths[layer], widths[layer + 1]
-            W = weights[starts[layer] : starts[layer] + after * before].reshape(after, before)
-            bias = weights[starts[layer] + after * before : starts[layer + 1]]
+            after = long[layer + 1]
+            target = out if layer == depth else kept[places[layer + 1] + here * after :][: b * after]
+            _gemm(
+                kept[places[layer] + here * long[layer] :], long[layer], 1, forward[ahead[layer] :], after,
+                biases[shifts[layer] :], 0, target, after, b, after, rows[layer],
+            )  # fmt: skip
             if layer < depth:
-                at = places[layer + 1] + k * b * after
-                z_out = kept[at : at + b * after].reshape(after, b)
-                _affine(z_in, W, bias, True, z_out)
-                z_in = z_out
-            else:
-                _affine(z_in, W, bias, False, theta[k])
+                _sigmoid(target)
+        _transpose(out, long[depth + 1], theta[k])
         _step(theta[k], x[k], u[k], gamma, epsilon, LU[k], z[k], q[k], x[k + 1], y_sim[k])
 
     # backwards
-    if b > 1:  # products run faster on weights that are transposed once
-        for layer in range(1, depth + 1):
-            before, after = widths[layer], widths[layer + 1]
-            W = weights[starts[layer] : starts[layer] + after * before].reshape(after, before)
-            WT = transposed[starts[layer] : starts[layer] + after * before].reshape(before, after)
-            for j in range(before):
-                for i in range(after):
-                    WT[j, i] = W[i, j]
-    gradient[: starts[depth + 1]] = 0
+    collected[:] = 0
+    sums[:] = 0
+    deltas[:] = 0
+    zeros[:] = 0
     d_E[:] = 0
     d_e[:] = 0
     per_output = dtype.type(2.0 / (b * L * m))
@@ -574,7 +770,6 @@ def loss_and_gradient(
     mu, d_x = np.zeros((n, b), dtype), np.empty((n, b), dtype)
     d_y, d_previous = np.empty((m, b), dtype), np.zeros((m, b), dtype)
     work = np.empty((n + 3, b), dtype)
-    d_rho = np.empty((rho, b), dtype)
     filled = 0  # samples in `deltas`, the latest first from the back
     for k in range(L - 1, -1, -1):
         for o in range(m):
@@ -613,50 +808,37 @@ def loss_and_gradient(
         _step_adjoint(theta[k], x[k], u[k], gamma, LU[k], z[k], q[k], mu, d_y, d_theta, d_x, work)
 
         # through the generator; the earliest sample of a block stands first
-        sample = span - 1 - filled
-        block = 0
+        filled += 1
+        row = (span - filled) * b
+        _transpose_back(d_theta, deltas[errors[depth] + row * long[depth + 1] :], long[depth + 1])
         for layer in range(depth, -1, -1):
-            before, after = widths[layer], widths[layer + 1]
-            low = block + sample * b * after
-            block += span * b * after
-            delta = deltas[low : low + b * after].reshape(after, b)
-            if layer == depth:
-                delta[:] = d_theta
-            else:
-                at = places[layer + 1] + k * b * after
-                _through_sigmoid(d_in, kept[at : at + b * after], deltas[low : low + b * after])
-            W = weights[starts[layer] : starts[layer] + after * before].reshape(after, before)
-            if b == 1:
-                np.dot(delta.reshape(after), W, (d_in if layer > 0 else d_rho.reshape(rho))[:before])
-            elif layer == 0:
-                _back_narrow(W, delta, d_rho)
-            else:
-                WT = transposed[starts[layer] : starts[layer] + after * before].reshape(before, after)
-                np.dot(WT, delta, d_in[: b * before].reshape(before, b))
+            before, after = long[layer], long[layer + 1]
+            target = d_rho if layer == 0 else deltas[errors[layer - 1] + row * before :][: b * before]
+            _gemm(
+                deltas[errors[layer] + row * after :], after, 1, backward[back[layer] :], before,
+                zeros, 0, target, before, b, before, rows[layer + 1],
+            )  # fmt: skip
+            if layer > 0:
+                _through_sigmoid(target, kept[places[layer] + k * b * before :][: b * before])
         for i in range(n):
             for s in range(b):
-                mu[i, s] = d_x[i, s] + d_rho[i, s]
+                mu[i, s] = d_x[i, s] + d_rho[s * long[0] + i]
         if with_y:
             for o in range(m):
                 for s in range(b):
-                    d_previous[o, s] = d_rho[rho - m + o, s]
-        filled += 1
+                    d_previous[o, s] = d_rho[s * long[0] + rho - m + o]
 
         if filled == span or k == 0:
-            block = 0
-            for layer in range(depth, -1, -1):
-                before, after = widths[layer], widths[layer + 1]
-                low = block + (span - filled) * b * after
-                block += span * b * after
-                at = places[layer] + k * b * before
-                _add_outer(
-                    deltas[low:block].reshape(filled, after, b),
-                    kept[at : at + filled * b * before].reshape(filled, before, b),
-                    product[: after * before].reshape(after, before),
-                    gradient[starts[layer] : starts[layer] + after * before].reshape(after, before),
-                    gradient[starts[layer] + after * before : starts[layer + 1]],
-                )
+            for layer in range(depth + 1):
+                before, after = long[layer], long[layer + 1]
+                delta, C = deltas[errors[layer] + row * after :], collected[found[layer] :]
+                _gemm(
+                    delta, 1, after, kept[places[layer] + k * b * before :], before, C, before, C, before,
+                    _padded(rows[layer + 1], TALL), before, filled * b,
+                )  # fmt: skip
+                _add_rows(delta, after, filled * b, sums[shifts[layer] :][:rows[layer + 1]])
             filled = 0
+    _spread(collected, sums, widths, n, gradient)
     for i in range(n):
         for s in range(b):
             d_e[i] += mu[i, s]
@@ -682,11 +864,11 @@ def adam(weights: Any, gradient: Any, first: Any, second: Any, rate: float, coun
         weights[i] -= scale * first[i] / (math.sqrt(second[i]) * correction + small)
 
 
-def workspace_size(widths: Sequence[int], n: int, m: int, L: int, b: int) -> int:
-    """Numbers that `loss_and_gradient` needs to keep for windows of L samples in batches of b."""
-    P, hidden = widths[-1], sum(widths[:-1])
-    widest = max(widths[1:])
-    span = ROWS if b == 1 else 1
-    kept = L * b * (hidden + P + m + n * n + 3 * n) + (L + 1) * n * b
-    kept += sum(after * (before + 1) for before, after in pairwise(widths))
-    return kept + sum(widths[1:]) * span * b + widest * max(widest, widths[0]) + b * (widest + P)
+def workspace_size(widths: Sequence[int], n: int, m: int, L: int, b: int, itemsize: int) -> int:
+    """Numbers that `loss_and_gradient` needs to keep for windows of L samples in batches of b, at most."""
+    span, rounding = max(1, ROWS // b), max(VECTOR // itemsize, TALL)
+    long = [width + rounding for width in widths]
+    layers = sum(after * before for before, after in pairwise(long))
+    P = widths[-1]
+    kept = b * L * (sum(long) + P + m + n * n + 4 * n) + b * (sum(long[1:]) * span + 2 * long[-1] + long[0] + n)
+    return kept + 3 * layers + 2 * sum(long) + max(long) + 2 * rounding

@@ -121,7 +121,7 @@ class FastEngine:
         weights, a = self.model_weights, self.model_weights.architecture
         u, y = np.take(self.u, windows, axis=2), np.take(self.y, windows, axis=2)
         L, b = len(u), len(windows)
-        needed = kernels.workspace_size([int(w) for w in weights.widths], a.order, a.outputs, L, b)
+        needed = kernels.workspace_size([int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize)
         if needed > self.space.size:
             self.space = np.empty(needed, self.gradient.dtype)
         maps = encoder_map(self.layers, a.outputs)
