@@ -13,7 +13,7 @@ def sliding_windows(records: tuple[Record, ...], L: int, stride: int) -> tuple[F
 
     Args:
         records: experiments.
-        L: window length, samples.
+        L: window length, samples; 0 for whole records, cut to the shortest.
         stride: distance between starts, samples.
 
     Returns:
@@ -22,6 +22,7 @@ def sliding_windows(records: tuple[Record, ...], L: int, stride: int) -> tuple[F
     Raises:
         InputError: no record is as long as a window.
     """
+    L = L or min(len(record) for record in records)
     longest = max(len(record) for record in records)
     if longest < L:
         raise InputError(f"window: expected at most the {longest} samples of the training record, found {L}")

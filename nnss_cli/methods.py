@@ -96,21 +96,26 @@ def check_window(window: int, data: FittingData) -> None:
 
 
 class NNSS:
-    """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`."""
+    """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`, with one of its recipes."""
 
-    name = "nnss"
     seeded = True
 
+    def __init__(self, name: str, recipe: str | None = None) -> None:
+        """`recipe` fixes it; without, it is the user's choice and `best` by default."""
+        self.name = name
+        self.recipe = recipe
+
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
-        """The paper's recipe for the dataset and order, with the user's changes."""
-        from nnss_cli.training.recipe import Recipe, paper_recipe
+        """The recipe for the dataset and order, with the user's changes."""
+        from nnss_cli.training.recipe import Recipe, recipe_of
 
         own = {f.name for f in fields(Recipe)}
         changes = {name: value for name, value in overrides.items() if name in own}
-        recipe = paper_recipe(data.dataset, order).replace(**changes)
+        name = self.recipe or str(overrides.get("recipe", "best"))
+        recipe = recipe_of(name, data.dataset, order).replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(recipe.window, data)
-        return asdict(recipe)
+        return asdict(recipe) | {"recipe": name}
 
     def prepare(self, settings: Settings) -> None:
         """Compile the fast engine, or read it from numba's cache."""
@@ -124,7 +129,8 @@ class NNSS:
         from nnss_cli.training.fit import train_nnss
         from nnss_cli.training.recipe import Recipe
 
-        training = train_nnss(data, order, seed, Recipe(**settings), on_epoch)
+        recipe = Recipe(**{name: value for name, value in settings.items() if name != "recipe"})
+        training = train_nnss(data, order, seed, recipe, on_epoch)
         return Fit(
             None if training.diverged else training.model,
             training.epochs,
@@ -262,11 +268,50 @@ class SIMBa:
         return Fit(model, training.epochs, training.diverged, training.history)
 
 
-METHODS: dict[str, Method] = {method.name: method for method in (NNSS(), SIMBa(), N4SID(), SSEST(), SSREGEST())}
+class Ensemble:
+    """The mean of the simulated outputs of those seeds of NN-SS that validate best together."""
+
+    name = "nnss-ensemble"
+    seeded = False
+    of = "nnss"
+    """Its members' method."""
+
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """Those of the members."""
+        return METHODS[self.of].settings(data, order, overrides)
+
+    def prepare(self, settings: Settings) -> None:
+        """Import what members need."""
+        METHODS[self.of].prepare(settings)
+
+    def combine(self, members: Sequence[Any], data: FittingData) -> Fit:
+        """Choose among models of several seeds, on validation."""
+        from nnss_cli.model.ensemble import Ensemble as Mean
+
+        return Fit(Mean.chosen(members, data) if members else None)
+
+    def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
+        """Train one member and take it alone; `combine` is for those that are trained already."""
+        trained = METHODS[self.of].fit(data, order, seed, settings, on_epoch)
+        return self.combine([trained.model] if trained.model else [], data)
+
+
+_ALL: tuple[Method, ...] = (
+    NNSS("nnss"),
+    Ensemble(),
+    NNSS("nnss-paper", "paper"),
+    SIMBa(),
+    N4SID(),
+    SSEST(),
+    SSREGEST(),
+)
+METHODS: dict[str, Method] = {method.name: method for method in _ALL}
+DEFAULT = tuple(name for name in METHODS if name != "nnss-paper")
+"""What `compare` takes unless told: the paper's recipe is an option of nnss, and a method for use beside it."""
 
 
 def select(names: Sequence[str]) -> list[Method]:
-    """The methods of these names, all of them where `names` is empty.
+    """The methods of these names, in this order; `DEFAULT` where `names` is empty.
 
     Raises:
         InputError: a name is unknown; the message lists the valid ones.
@@ -274,7 +319,7 @@ def select(names: Sequence[str]) -> list[Method]:
     for name in names:
         if name not in METHODS:
             raise unknown("method", name, METHODS)
-    return [METHODS[name] for name in dict.fromkeys(names or METHODS)]
+    return [METHODS[name] for name in dict.fromkeys(names or DEFAULT)]
 
 
 def load_model(folder: Path) -> Model:
@@ -296,6 +341,10 @@ def load_model(folder: Path) -> Model:
             from nnss_cli.baselines.linear_model import LinearModel
 
             return LinearModel.from_file(description, tensors)
+        if kind == "ensemble":
+            from nnss_cli.model.ensemble import Ensemble as Mean
+
+            return Mean.from_file(description, tensors)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
         raise InputError(f"'{folder}' holds an incomplete {kind} model: {error}; train it again") from error
-    raise unknown("kind of model", str(kind), ("nnss", "linear"))
+    raise unknown("kind of model", str(kind), ("nnss", "linear", "ensemble"))

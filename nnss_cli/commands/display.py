@@ -28,7 +28,9 @@ def print_rows(rows: Sequence[dict[str, str]], title: str, text_columns: int = 2
     """A table of text cells: the first `text_columns` to the left, numbers to the right."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for index, name in enumerate(rows[0]):
-        table.add_column(name, justify="left" if index < text_columns else "right", no_wrap=index == 0, overflow="fold")
+        table.add_column(
+            name, justify="left" if index < text_columns else "right", no_wrap=index < text_columns, overflow="fold"
+        )
     for row in rows:
         table.add_row(*row.values())
     console.print(table)

@@ -58,7 +58,7 @@ Mirror = Annotated[
 Offline = Annotated[bool, typer.Option("--offline", help="Touch no network: use the cache or a mirror folder.")]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 
-_TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the paper's recipe)"
+_TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the recipe's)"
 _BASELINES = "Baselines"
 
 
@@ -77,9 +77,10 @@ def _baseline(kind: Any, name: str, metavar: str | None, help_text: str) -> Any:
 
 # Setting of a method → the option that changes it. A method takes those that it has.
 FIT_OPTIONS: dict[str, Any] = {
+    "recipe": _training(str, "--recipe", "paper|best", "Of method nnss: as in the paper, or trained well (default)."),
     "epochs": _training(int, "--epochs", "N", "Epochs at most."),
     "patience": _training(int, "--patience", "N", "Epochs without a 5 % better validation error before it stops."),
-    "window": _training(int, "--window", "L", "Window length, samples."),
+    "window": _training(int, "--window", "L", "Window length, samples; 0 for whole records."),
     "stride": _training(int, "--stride", "N", "Samples between the starts of windows."),
     "batch": _training(int, "--batch", "N", "Windows in a mini-batch."),
     "learning_rate": _training(float, "--learning-rate", "RATE", "Step size of Adam."),
@@ -90,7 +91,13 @@ FIT_OPTIONS: dict[str, Any] = {
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
     "dtype": _training(str, "--dtype", "float32|float64", "Precision."),
-    "optimiser": _training(str, "--optimiser", "adam|lbfgs", "Adam on mini-batches, or L-BFGS on all windows."),
+    "optimiser": _training(
+        str, "--optimiser", "adam|lbfgs|gauss-newton", "Adam on mini-batches, or the others on all windows at once."
+    ),
+    "refine": _training(int, "--refine", "N", "Gauss–Newton iterations after Adam, at most."),
+    "warm": _fit_option(
+        bool | None, _TRAINING, "--warm/--cold", None, "Start as SSEST's linear model, or from random weights."
+    ),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),
     "horizon": _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched."),
     "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),

@@ -14,7 +14,7 @@ from nnss_cli.datasets.record import Dataset
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
 from nnss_cli.iterative import EpochCallback
-from nnss_cli.methods import METHODS, Fit, Model
+from nnss_cli.methods import METHODS, Ensemble, Fit, Model, load_model
 from nnss_cli.modelfile import Tensors
 from nnss_cli.version import __version__
 
@@ -29,14 +29,23 @@ def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallba
     fit = Fit(None)
     method = METHODS[spec.method]
     method.prepare(spec.settings)
+    trained = 0.0  # seconds that an ensemble's members have taken
     started = time.perf_counter()
     try:
-        fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        if isinstance(method, Ensemble) and "members" in spec.settings:
+            wanted = {(method.of, spec.order, seed) for seed in spec.settings["members"]}
+            members = [
+                r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) in wanted and r.status == "ok"
+            ]
+            fit = method.combine([load_model(store.run_folder(r.spec)) for r in members], dataset.fitting)
+            trained = sum(r.fit_seconds for r in members)
+        else:
+            fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
         if fit.diverged:
             status, reason = "diverged", fit.diverged
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # singular, too short, out of range
         status, reason = "failed", " ".join(str(error).split())
-    fit_seconds = time.perf_counter() - started
+    fit_seconds = time.perf_counter() - started + trained
     if fit.model is not None:
         scores, signals = simulate_splits(fit.model, dataset)
         bad = [score.split for score in scores if not np.isfinite(score.rmse)]

@@ -17,7 +17,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import execute
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
-from nnss_cli.methods import METHODS, Method, Settings
+from nnss_cli.methods import METHODS, Ensemble, Method, Settings
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,8 @@ def plan(
 ) -> Plan:
     """List the runs that are missing. Failed ones count as missing, diverged ones as results.
 
+    An ensemble brings its members along, and is made again when they change.
+
     Raises:
         InputError: an order or option is out of range, or there are runs with other options that
             must not be mixed with these.
@@ -79,10 +81,21 @@ def plan(
     data = dataset.fingerprint()
     todo: list[RunSpec] = []
     done = 0
+    members = [METHODS[method.of] for method in methods if isinstance(method, Ensemble)]
+    methods = [*(method for method in members if method not in methods), *methods]
     for order in dict.fromkeys(orders):
         check_order(order, dataset.fitting)
         for method in methods:
             settings = method.settings(dataset.fitting, order, overrides)
+            if isinstance(method, Ensemble):
+                ensemble = settings | {"members": list(seeds)}
+                spec = RunSpec(store.dataset, store.protocol, method.name, order, 0, ensemble, data)
+                retrained = any((s.method, s.order) == (method.of, order) for s in todo)
+                if force or retrained or spec.label not in finished or store.conflict(spec, existing):
+                    todo.append(spec)
+                else:
+                    done += 1
+                continue
             for seed in seeds if method.seeded else [0]:
                 spec = RunSpec(store.dataset, store.protocol, method.name, order, seed, settings, data)
                 if force:
@@ -127,10 +140,25 @@ def sweep(
         KeyboardInterrupt: finished runs stay, the others are missing.
         InputError: a worker process was killed from outside.
     """
-    if jobs == 1 or len(specs) <= 1:
-        for spec in specs:
+    ensembles = [spec for spec in specs if isinstance(METHODS[spec.method], Ensemble)]
+    trained = [spec for spec in specs if spec not in ensembles]
+    if jobs == 1 or len(trained) <= 1:
+        for spec in trained:
             on_result(_reported(spec, dataset, store, on_event))
-        return
+    else:
+        _side_by_side(trained, dataset, store, jobs, on_event, on_result)
+    for spec in ensembles:
+        on_result(_reported(spec, dataset, store, on_event))
+
+
+def _side_by_side(
+    specs: Sequence[RunSpec],
+    dataset: Dataset,
+    store: Store,
+    jobs: int,
+    on_event: Callable[[Event], None],
+    on_result: Callable[[RunResult], None],
+) -> None:
     for spec in specs:  # compile here: the workers then find it on disk
         METHODS[spec.method].prepare(spec.settings)
     context = multiprocessing.get_context("spawn")

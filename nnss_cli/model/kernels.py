@@ -301,16 +301,15 @@ def _tile(rows: int, vectors: int) -> Any:
 
     @intrinsic
     def tile(
-        typingctx: Any, A: Any, a_at: Any, a_row: Any, a_step: Any, B: Any, b_at: Any, b_step: Any,
-        start: Any, s_at: Any, s_row: Any, C: Any, c_at: Any, c_row: Any, depth: Any,
-    ) -> Any:  # fmt: skip
+        typingctx: Any, A: Any, a_at: Any, a_row: Any, a_step: Any, B: Any, b_at: Any, b_step: Any,  # noqa: ARG001
+        start: Any, s_at: Any, s_row: Any, C: Any, c_at: Any, c_row: Any, depth: Any,  # noqa: ARG001
+    ) -> Any:  # fmt: skip  # numba wants every argument by name
         del typingctx
         place = types.intp
-        signature = types.void(
-            A, place, place, place, B, place, place, start, place, place, C, place, place, place
-        )
+        signature = types.void(A, place, place, place, B, place, place, start, place, place, C, place, place, place)
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            builder.function.attributes.add("noinline")
             A, a_at, a_row, a_step, B, b_at, b_step, start, s_at, s_row, C, c_at, c_row, depth = args
             A, B, start, C = (
                 context.make_array(signature.args[at])(context, builder, args[at]).data for at in (0, 4, 7, 10)
@@ -402,9 +401,13 @@ def _gemm(
         for i in range(0, whole, TALL):
             at = i * start_row + j
             if wide:
-                _tile_8x2(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+                _tile_8x2(
+                    A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth
+                )
             else:
-                _tile_8x1(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+                _tile_8x1(
+                    A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth
+                )
         j += 2 * lanes if wide else lanes
     # The rows that are left, one by one; the last tile of a row may do some columns again.
     width = 8 * lanes if columns >= 8 * lanes else 4 * lanes if columns >= 4 * lanes else lanes
@@ -413,11 +416,17 @@ def _gemm(
             j = min(j, columns - width)
             at = i * start_row + j
             if width == 8 * lanes:
-                _tile_1x8(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+                _tile_1x8(
+                    A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth
+                )
             elif width == 4 * lanes:
-                _tile_1x4(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+                _tile_1x4(
+                    A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth
+                )
             else:
-                _tile_1x1(A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth)
+                _tile_1x1(
+                    A, i * a_row, a_row, a_step, B, j, b_step, start, at, start_row, C, i * c_row + j, c_row, depth
+                )
 
 
 @part
@@ -446,6 +455,13 @@ def _add_rows(source: Any, row: int, rows: int, total: Any) -> None:
 
 
 @part
+def _clear(numbers: Any) -> None:
+    """Set to zero; a slice assignment would do the same, but takes a quarter of a second to compile."""
+    for i in range(numbers.size):
+        numbers[i] = 0
+
+
+@part
 def _padded(width: int, lanes: int) -> int:
     """A row's length in memory: whole vectors."""
     return (width + lanes - 1) // lanes * lanes
@@ -467,9 +483,9 @@ def _lay_out(weights: Any, widths: Any, n: int, forward: Any, biases: Any, backw
         long, back = _padded(rows, lanes), _padded(before, lanes)
         W, bias = weights[at : at + after * before], weights[at + after * before : at + after * (before + 1)]
         WT, shift = forward[row_at : row_at + before * long], biases[bias_at : bias_at + long]
-        shift[:] = 0
+        _clear(shift)
         if long > rows:
-            WT[:] = 0
+            _clear(WT)
         for i in range(rows):
             plus, minus = (i, -1) if layer < last else _sources(i, n)
             shift[i] = bias[plus] if minus < 0 else bias[plus] - bias[minus]
@@ -485,7 +501,7 @@ def _lay_out(weights: Any, widths: Any, n: int, forward: Any, biases: Any, backw
                 target = backward[back_at + i * back : back_at + (i + 1) * back]
                 for j in range(before):
                     target[j] = row[j] if minus < 0 else row[j] - W[minus * before + j]
-                target[before:] = 0
+                _clear(target[before:])
         at += after * (before + 1)
         row_at += before * long
         bias_at += long
@@ -522,15 +538,18 @@ def _spread(collected: Any, sums: Any, widths: Any, n: int, gradient: Any) -> No
         back = _padded(before, lanes)
         dW, d_bias = gradient[at : at + after * before], gradient[at + after * before : at + after * (before + 1)]
         if layer == last:
-            dW[:] = 0
-            d_bias[:] = 0
+            _clear(dW)
+            _clear(d_bias)
         for i in range(rows):
             plus, minus = (i, -1) if layer < last else _sources(i, n)
-            source = collected[row_at + i * back : row_at + i * back + before]
-            dW[plus * before : (plus + 1) * before] = source
+            source, target = collected[row_at + i * back :], dW[plus * before :]
+            for j in range(before):
+                target[j] = source[j]
             d_bias[plus] = sums[bias_at + i]
             if minus >= 0:
-                dW[minus * before : (minus + 1) * before] = -source
+                target = dW[minus * before :]
+                for j in range(before):
+                    target[j] = -source[j]
                 d_bias[minus] = -sums[bias_at + i]
         at += after * (before + 1)
         row_at += _padded(rows, TALL) * back
@@ -613,21 +632,23 @@ def free_run(
     dtype, lanes = weights.dtype, VECTOR // weights.itemsize
     layers = len(widths) - 1
     long = np.empty(layers + 1, np.int64)
-    count, widest = 0, 0
-    for layer in range(layers + 1):
-        long[layer] = _padded(widths[layer], lanes)
-        widest = max(widest, long[layer])
-    for layer in range(layers):
-        count += widths[layer] * long[layer + 1]
+    count, total, widest = 0, 0, 0
     P = widths[layers] - n * (n + 1) // 2
-    long[layers] = _padded(P, lanes)
-    forward, biases = _aligned(count, dtype), _aligned(np.sum(long[1:]), dtype)
+    for layer in range(layers + 1):
+        long[layer] = _padded(widths[layer] if layer < layers else P, lanes)
+        widest = max(widest, long[layer])
+        total += long[layer]
+        if layer > 0:
+            count += widths[layer - 1] * long[layer]
+    forward, biases = _aligned(count, dtype), _aligned(total - long[0], dtype)
     _lay_out(weights, widths, n, forward, biases, forward[:0])
     one, two = _aligned(widest, dtype), _aligned(widest, dtype)
     state, following = np.empty((n, 1), dtype), np.empty((n, 1), dtype)
-    state[:, 0] = x0
+    for i in range(n):
+        state[i, 0] = x0[i]
     previous, output, u_now = np.empty((m, 1), dtype), np.empty((m, 1), dtype), np.empty((r, 1), dtype)
-    previous[:, 0] = y0
+    for i in range(m):
+        previous[i, 0] = y0[i]
     theta = np.empty((P, 1), dtype)
     LU, z, q = np.empty((n * n, 1), dtype), np.empty((n, 1), dtype), np.empty((2 * n, 1), dtype)
     for k in range(K):
@@ -693,13 +714,15 @@ def loss_and_gradient(
     n, m = E.shape
     depth, rho = len(widths) - 2, widths[0]
     P = widths[depth + 1] - n * (n + 1) // 2  # V counts by its skew part alone
-    rows, long = widths.copy(), np.empty(depth + 2, np.int64)
-    rows[depth + 1] = P
+    rows, long, longest = np.empty(depth + 2, np.int64), np.empty(depth + 2, np.int64), 0
     for layer in range(depth + 2):
+        rows[layer] = widths[layer] if layer <= depth else P
         long[layer] = _padded(rows[layer], lanes)
+        longest = max(longest, long[layer])
     span = max(1, ROWS // b)  # samples that make one weight-gradient product
     # where each layer's parts begin: Wᵀ, bias, W, ∂J/∂W, activations, δ
-    ahead, shifts, back, found, places, errors = np.zeros((6, depth + 2), np.int64)
+    ahead, shifts, back = np.zeros(depth + 2, np.int64), np.zeros(depth + 2, np.int64), np.zeros(depth + 2, np.int64)
+    found, places, errors = np.zeros(depth + 2, np.int64), np.zeros(depth + 2, np.int64), np.zeros(depth + 2, np.int64)
     for layer in range(depth + 1):
         ahead[layer + 1] = ahead[layer] + rows[layer] * long[layer + 1]
         shifts[layer + 1] = shifts[layer] + long[layer + 1]
@@ -715,7 +738,7 @@ def loss_and_gradient(
     collected, used = _take(space, used, found[depth + 1])
     sums, used = _take(space, used, shifts[depth + 1])
     deltas, used = _take(space, used, errors[depth + 1])
-    zeros, used = _take(space, used, np.max(long))
+    zeros, used = _take(space, used, longest)
     out, used = _take(space, used, b * long[depth + 1])
     d_rho, used = _take(space, used, b * long[0])
     flat, used = _take(space, used, L * P * b)
@@ -758,12 +781,12 @@ def loss_and_gradient(
         _step(theta[k], x[k], u[k], gamma, epsilon, LU[k], z[k], q[k], x[k + 1], y_sim[k])
 
     # backwards
-    collected[:] = 0
-    sums[:] = 0
-    deltas[:] = 0
-    zeros[:] = 0
-    d_E[:] = 0
-    d_e[:] = 0
+    _clear(collected)
+    _clear(sums)
+    _clear(deltas)
+    _clear(zeros)
+    _clear(d_E.reshape(d_E.size))
+    _clear(d_e)
     per_output = dtype.type(2.0 / (b * L * m))
     per_state = dtype.type(2.0 * consistency / (b * (L - 1) * n)) if L > 1 else dtype.type(0)
     response, drift = 0.0, 0.0
@@ -836,7 +859,7 @@ def loss_and_gradient(
                     delta, 1, after, kept[places[layer] + k * b * before :], before, C, before, C, before,
                     _padded(rows[layer + 1], TALL), before, filled * b,
                 )  # fmt: skip
-                _add_rows(delta, after, filled * b, sums[shifts[layer] :][:rows[layer + 1]])
+                _add_rows(delta, after, filled * b, sums[shifts[layer] :][: rows[layer + 1]])
             filled = 0
     _spread(collected, sums, widths, n, gradient)
     for i in range(n):
@@ -848,6 +871,160 @@ def loss_and_gradient(
     if L > 1:
         loss += consistency * drift / (b * (L - 1) * n)
     return loss
+
+
+@entry
+def sensitivities(
+    weights: Any, widths: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
+    x0: Any, S0: Any, u: Any, y0: Any, y: Any, x_all: Any, J: Any,
+) -> None:  # fmt: skip
+    """Simulated outputs of a record and their derivatives by all weights.
+
+    With S = ∂x(k)/∂weights and R = ∂y(k−1)/∂weights
+
+        [∂x(k+1); ∂y(k)]/∂weights = F [S; R] + ∂[x(k+1); y(k)]/∂weights at fixed x(k), y(k−1)
+
+    where F and the last term come from the step's adjoint, seeded with the n + m unit vectors.
+
+    Args:
+        weights: as one vector, the generator's first.
+        widths: of the generator; see `free_run`.
+        with_u: whether u schedules.
+        with_y: whether the previous output schedules.
+        gamma: bound on the spectral radius.
+        epsilon: of the Schur parametrisation.
+        x0: initial state (n,).
+        S0: its derivatives (n, p) by the p weights.
+        u: inputs (K, r).
+        y0: output before the first sample (m,), for scheduling on it.
+        y: simulated outputs (K, m), written.
+        x_all: states (K, n), written.
+        J: derivatives of the outputs (K, m, p), written.
+    """
+    dtype, lanes = weights.dtype, VECTOR // weights.itemsize
+    K, m, n, r, p = len(u), len(y0), len(x0), u.shape[1], S0.shape[1]
+    layers, s = len(widths) - 1, n + m
+    P = widths[layers] - n * (n + 1) // 2
+    rows, long, longest = np.empty(layers + 1, np.int64), np.empty(layers + 1, np.int64), 0
+    ahead, shifts, back, places = (
+        np.zeros(layers + 1, np.int64), np.zeros(layers + 1, np.int64),
+        np.zeros(layers + 1, np.int64), np.zeros(layers + 1, np.int64),
+    )  # fmt: skip
+    for layer in range(layers + 1):
+        rows[layer] = widths[layer] if layer < layers else P
+        long[layer] = _padded(rows[layer], lanes)
+        longest = max(longest, long[layer])
+    for layer in range(layers):
+        ahead[layer + 1] = ahead[layer] + rows[layer] * long[layer + 1]
+        shifts[layer + 1] = shifts[layer] + long[layer + 1]
+        back[layer + 1] = back[layer] + rows[layer + 1] * long[layer]
+        places[layer + 1] = places[layer] + s * long[layer]
+    forward, biases, backward = (
+        _aligned(ahead[layers], dtype), _aligned(shifts[layers], dtype), _aligned(back[layers], dtype)
+    )  # fmt: skip
+    _lay_out(weights, widths, n, forward, biases, backward)
+    kept, out, zeros = _aligned(places[layers], dtype), _aligned(s * longest, dtype), _aligned(longest, dtype)
+    _clear(zeros)
+    delta, d_in = _aligned(s * longest, dtype), _aligned(s * longest, dtype)
+    _clear(delta)
+    theta, d_theta = np.empty((P, s), dtype), np.empty((P, s), dtype)
+    LU, z, q = np.empty((n * n, s), dtype), np.empty((n, s), dtype), np.empty((2 * n, s), dtype)
+    x, x_next, u_now = np.empty((n, s), dtype), np.empty((n, s), dtype), np.empty((r, s), dtype)
+    previous, output = np.empty((m, s), dtype), np.empty((m, s), dtype)
+    d_x, work = np.empty((n, s), dtype), np.empty((n + 3, s), dtype)
+    mu, d_y = np.zeros((n, s), dtype), np.zeros((m, s), dtype)
+    for i in range(n):
+        mu[i, i] = 1
+    for o in range(m):
+        d_y[o, n + o] = 1
+    wide = _padded(p, lanes)
+    past, now, F = _aligned(s * wide, dtype), _aligned(s * wide, dtype), _aligned(s * s, dtype)
+    _clear(past)
+    for i in range(n):
+        for w in range(p):
+            past[i * wide + w] = S0[i, w]
+        for c in range(s):
+            x[i, c] = x0[i]
+    for o in range(m):
+        for c in range(s):
+            previous[o, c] = y0[o]
+    for k in range(K):
+        for i in range(r):
+            for c in range(s):
+                u_now[i, c] = u[k, i]
+        _set_rho(x, u_now, previous, with_u, with_y, kept[: s * long[0]].reshape(s, long[0]))
+        for layer in range(layers):
+            after = long[layer + 1]
+            target = out if layer == layers - 1 else kept[places[layer + 1] :]
+            _gemm(
+                kept[places[layer] :], long[layer], 1, forward[ahead[layer] :], after,
+                biases[shifts[layer] :], 0, target, after, s, after, rows[layer],
+            )  # fmt: skip
+            if layer < layers - 1:
+                _sigmoid(target[: s * after])
+        _transpose(out, long[layers], theta)
+        _step(theta, x, u_now, gamma, epsilon, LU, z, q, x_next, output)
+        for i in range(n):
+            for c in range(s):
+                d_x[i, c] = 0
+        _step_adjoint(theta, x, u_now, gamma, LU, z, q, mu, d_y, d_theta, d_x, work)
+
+        # the derivatives at fixed x(k) and y(k−1), a row for each of x(k+1) and y(k)
+        _clear(now)
+        _transpose_back(d_theta, delta, long[layers])
+        end = 0
+        for layer in range(layers):
+            end += widths[layer + 1] * (widths[layer] + 1)
+        for layer in range(layers - 1, -1, -1):
+            before, after = widths[layer], widths[layer + 1]
+            end -= after * (before + 1)
+            for c in range(s):
+                at = now[c * wide + end : c * wide + end + after * (before + 1)]
+                z_in = kept[places[layer] + c * long[layer] :][:before]
+                for i in range(rows[layer + 1]):
+                    d = delta[c * long[layer + 1] + i]
+                    plus, minus = (i, -1) if layer < layers - 1 else _sources(i, n)
+                    target = at[plus * before : (plus + 1) * before]
+                    for j in range(before):
+                        target[j] = d * z_in[j]
+                    at[after * before + plus] = d
+                    if minus >= 0:
+                        target = at[minus * before : (minus + 1) * before]
+                        for j in range(before):
+                            target[j] = -d * z_in[j]
+                        at[after * before + minus] = -d
+            _gemm(
+                delta, long[layer + 1], 1, backward[back[layer] :], long[layer],
+                zeros, 0, d_in, long[layer], s, long[layer], rows[layer + 1],
+            )  # fmt: skip
+            if layer > 0:
+                flat = d_in[: s * long[layer]]
+                _through_sigmoid(flat, kept[places[layer] :][: s * long[layer]])
+                delta, d_in = d_in, delta
+        for c in range(s):
+            for i in range(n):
+                F[c * s + i] = d_x[i, c] + d_in[c * long[0] + i]
+            for o in range(m):
+                F[c * s + n + o] = d_in[c * long[0] + rows[0] - m + o] if with_y else 0
+        _gemm(F, s, 1, past, wide, now, wide, now, wide, s - s % TALL, wide, s)
+        for c in range(s - s % TALL, s):  # rows that are added to may not be done again
+            target = now[c * wide : (c + 1) * wide]
+            for i in range(s):
+                factor, source = F[c * s + i], past[i * wide : (i + 1) * wide]
+                for w in range(wide):
+                    target[w] += factor * source[w]
+        for o in range(m):
+            y[k, o] = output[o, 0]
+            row, source = J[k, o], now[(n + o) * wide : (n + o + 1) * wide]
+            for w in range(p):
+                row[w] = source[w]
+            for c in range(s):
+                previous[o, c] = output[o, c]
+        for i in range(n):
+            x_all[k, i] = x[i, 0]
+            for c in range(s):
+                x[i, c] = x_next[i, c]
+        past, now = now, past
 
 
 @entry

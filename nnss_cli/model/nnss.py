@@ -102,18 +102,21 @@ class NNSS(nn.Module):
         y = (C @ x.unsqueeze(-1)).squeeze(-1)
         return x_next, y
 
-    def forward(self, u: Tensor, y0: Tensor, y_previous: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, u: Tensor, y0: Tensor, y_previous: Tensor | None = None, x0: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Free simulation of a batch, in normalised units.
 
         Args:
             u: inputs (b, K, r).
             y0: first output sample (b, m), for the encoder.
             y_previous: output before the first (b, m), for scheduling on y; y0 where it is None.
+            x0: initial state (b, n); the encoder's where it is None.
 
         Returns:
             y (b, K, m) and x (b, K, n).
         """
-        x = self.encoder(y0)
+        x = self.encoder(y0) if x0 is None else x0
         y_previous = y0 if y_previous is None else y_previous
         xs, ys = [], []
         for k in range(u.shape[1]):
@@ -136,15 +139,19 @@ class NNSS(nn.Module):
         y, x = self(u_scaled, y0_scaled)
         return Simulation(scaling.restore_y(y[0].numpy().astype(np.float64)), x[0].numpy().astype(np.float64))
 
-    def save(self, folder: Path) -> None:
-        """Write model.json and model.safetensors into `folder`."""
+    def to_file(self) -> tuple[dict[str, Any], Tensors]:
+        """What is kept of the model on disk: its description and its arrays."""
         description = {
             "kind": self.KIND,
             "Ts": self.Ts,
             "channels": asdict(self.channels),
             "architecture": asdict(self.architecture),
         }
-        write_model(folder, description, {name: tensor.numpy() for name, tensor in self.state_dict().items()})
+        return description, {name: tensor.numpy() for name, tensor in self.state_dict().items()}
+
+    def save(self, folder: Path) -> None:
+        """Write model.json and model.safetensors into `folder`."""
+        write_model(folder, *self.to_file())
 
     @classmethod
     def from_file(cls, description: dict[str, Any], tensors: Tensors) -> NNSS:

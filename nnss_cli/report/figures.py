@@ -44,6 +44,8 @@ class MethodStyle:
 # Okabe–Ito colours, which stay apart for colour-blind readers; lightness differs for print in grey.
 STYLES: dict[str, MethodStyle] = {
     "nnss": MethodStyle("NN-SS", "#0072B2", "-", "", "o"),
+    "nnss-ensemble": MethodStyle("NN-SS ensemble", "#000000", (0, (8, 1)), "--", "X"),
+    "nnss-paper": MethodStyle("NN-SS, paper's recipe", "#56B4E9", (0, (2, 2)), "oo", "h"),
     "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//", "s"),
     "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\", "D"),
     "ssest": MethodStyle("SSEST", "#009E73", (0, (1, 1)), "xx", "^"),

@@ -5,7 +5,7 @@ Faster engines are checked against `ReferenceEngine`, so it stays close to the e
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 import torch
@@ -33,6 +33,15 @@ class Engine(Protocol):
         """Take these weights; the loss over all windows and its gradient."""
         ...
 
+    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors ŷ − y of all windows simulated from the initial states x0 (N, n), with derivatives.
+
+        Returns:
+            Errors (q,), their derivatives (q, p + N n) by the generator's p weights and the initial
+            states, and the states (N, K, n). Where y schedules, windows start at their second sample.
+        """
+        ...
+
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
         """Simulated outputs (K, m) of inputs (K, r) from a first output (m,), in normalised units."""
         ...
@@ -56,14 +65,19 @@ def training_loss(model: NNSS, u: Tensor, y: Tensor, consistency: float) -> Tens
         y: measured outputs (b, L, m).
         consistency: λ.
     """
-    y_previous = None
-    if "y" in model.architecture.scheduling:
-        y_previous, u, y = y[:, 0], u[:, 1:], y[:, 1:]
+    y_previous, u, y = split_first(model, u, y)
     y_simulated, x = model(u, y[:, 0], y_previous)
     response = (y_simulated - y).square().mean()
     if consistency == 0:
         return response
     return response + consistency * (x[:, 1:] - model.encoder(y[:, 1:])).square().mean()
+
+
+def split_first(model: NNSS, u: Tensor, y: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:
+    """Where y schedules: the first output (b, m), and the windows from their second sample on."""
+    if "y" in model.architecture.scheduling:
+        return y[:, 0], u[:, 1:], y[:, 1:]
+    return None, u, y
 
 
 class ReferenceEngine:
@@ -103,6 +117,27 @@ class ReferenceEngine:
             [p.grad.ravel() if p.grad is not None else p.new_zeros(p.numel()) for p in self.model.parameters()]
         )
         return loss.item(), gradient.numpy().astype(np.float64)
+
+    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors, their derivatives and the states; see `Engine`."""
+        named = {name: p.detach() for name, p in self.model.named_parameters() if name.startswith("generator")}
+        y_previous, u, y = split_first(self.model, self.u, self.y)
+        begin = torch.tensor(x0, dtype=self.model.dtype)
+        y_first = y[:, 0] if y_previous is None else y_previous
+
+        def run(*values: Tensor) -> tuple[Tensor, Tensor]:
+            weights = dict(zip(named, values[:-1], strict=True))
+            return cast(
+                tuple[Tensor, Tensor],
+                torch.func.functional_call(self.model, weights, (u, y_first), {"x0": values[-1]}),
+            )
+
+        at = (*named.values(), begin)
+        y_simulated, x = run(*at)
+        parts = torch.autograd.functional.jacobian(lambda *values: (run(*values)[0] - y).ravel(), at)
+        J = torch.cat([part.reshape(len(part), -1) for part in parts], dim=1)
+        errors = (y_simulated - y).ravel()
+        return tuple(array.numpy().astype(np.float64) for array in (errors, J, x))  # type: ignore[return-value]
 
     @torch.no_grad()
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:

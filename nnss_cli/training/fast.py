@@ -12,28 +12,8 @@ from nnss_cli.model import kernels
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
+from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map
 from nnss_cli.training.recipe import Recipe
-
-Layers = list[tuple[FloatArray, FloatArray]]
-
-
-def encoder_map(layers: Layers, outputs: int) -> list[tuple[FloatArray, FloatArray]]:
-    """The affine maps A_i y + c_i after 0, 1, … layers: A_0 = I, A_i = W_i A_{i−1}, c_i = W_i c_{i−1} + b_i."""
-    maps = [(np.eye(outputs, dtype=layers[0][0].dtype), np.zeros(outputs, layers[0][0].dtype))]
-    for W, bias in layers:
-        A, c = maps[-1]
-        maps.append((W @ A, W @ c + bias))
-    return maps
-
-
-def encoder_gradient(layers: Layers, maps: Layers, d_E: FloatArray, d_e: FloatArray) -> Layers:
-    """∂J/∂(W_i, b_i) from ∂J/∂E and ∂J/∂e: dW_i = G_i A_{i−1}ᵀ + g_i c_{i−1}ᵀ, G_{i−1} = W_iᵀ G_i, likewise g."""
-    G, g = d_E, d_e
-    gradients: Layers = []
-    for (W, _), (A, c) in zip(reversed(layers), reversed(maps[:-1]), strict=True):
-        gradients.append((G @ A.T + np.outer(g, c), g))
-        G, g = W.T @ G, W.T @ g
-    return gradients[::-1]
 
 
 class Weights:
@@ -45,6 +25,7 @@ class Weights:
         parameters = {name: parameter.detach().numpy() for name, parameter in model.named_parameters()}
         self.shapes = {name: array.shape for name, array in parameters.items()}
         self.vector = np.concatenate([array.ravel() for array in parameters.values()])
+        self.generator_size = sum(array.size for name, array in parameters.items() if name.startswith("generator"))
         self.widths = np.array([a.scheduling_size, *a.hidden, sum(a.parameter_sizes)])
 
     def views(self, vector: FloatArray) -> dict[str, FloatArray]:
@@ -121,7 +102,9 @@ class FastEngine:
         weights, a = self.model_weights, self.model_weights.architecture
         u, y = np.take(self.u, windows, axis=2), np.take(self.y, windows, axis=2)
         L, b = len(u), len(windows)
-        needed = kernels.workspace_size([int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize)
+        needed = kernels.workspace_size(
+            [int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize
+        )
         if needed > self.space.size:
             self.space = np.empty(needed, self.gradient.dtype)
         maps = encoder_map(self.layers, a.outputs)
@@ -133,6 +116,30 @@ class FastEngine:
         for (d_W, d_bias), (W, bias) in zip(through, self.layer_gradients, strict=True):
             W[:], bias[:] = d_W, d_bias
         return float(loss)
+
+    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors, their derivatives and the states; see `Engine`."""
+        weights, a = self.model_weights, self.model_weights.architecture
+        dtype, (L, m, N), n = weights.vector.dtype, self.y.shape, a.order
+        with_y = "y" in a.scheduling
+        K, p = L - with_y, weights.generator_size
+        errors, x = np.empty((N, K, m), dtype), np.empty((N, K, n), dtype)
+        J = np.zeros((N, K, m, p + N * n), dtype)
+        S0 = np.concatenate([np.zeros((n, p)), np.eye(n)], axis=1).astype(dtype)
+        for window in range(N):
+            u, y = (np.ascontiguousarray(signal[:, :, window]) for signal in (self.u, self.y))
+            first = y[0]
+            if with_y:
+                u, y = u[1:], y[1:]
+            own = np.empty((K, m, p + n), dtype)
+            kernels.sensitivities(
+                weights.vector, weights.widths, "u" in a.scheduling, with_y, a.gamma, a.epsilon,
+                x0[window].astype(dtype), S0, u, first, errors[window], x[window], own,
+            )  # fmt: skip
+            errors[window] -= y
+            J[window, :, :, :p] = own[:, :, :p]
+            J[window, :, :, p + window * n : p + (window + 1) * n] = own[:, :, p:]
+        return errors.reshape(-1), J.reshape(errors.size, -1), x
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
         """One Adam step; see `Engine`."""

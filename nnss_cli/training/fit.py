@@ -12,8 +12,11 @@ from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.modelfile import Tensors
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
+from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
+from nnss_cli.training.warm import warm_start
 
 
 @dataclass(frozen=True)
@@ -65,13 +68,22 @@ def train_nnss(
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, data.scaling, data.channels, data.Ts)
     model.initialise(named_random(seed, "weights"))
+    if recipe.warm:
+        warm_start(model, train, val)
     engine = build_engine(model, u, y, recipe)
 
     watch = _Watch(engine, val, recipe, on_epoch)
+    if recipe.warm:
+        watch.start()
     if recipe.optimiser == "adam":
         _adam(engine, len(u), recipe, named_random(seed, "shuffling"), watch)
+        if recipe.refine > 0 and not watch.diverged:
+            watch.begin_again()
+            gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on)
+    elif recipe.optimiser == "lbfgs":
+        _lbfgs(engine, recipe.epochs, watch)
     else:
-        _lbfgs(engine, recipe, watch)
+        gauss_newton(engine, y, recipe.epochs, watch.goes_on)
     model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
     return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors)
 
@@ -85,6 +97,15 @@ class _Watch:
         self.kept, self.best_epoch, self.diverged = engine.weights(), 0, ""
         self.losses: list[float] = []
         self.errors: list[float] = []
+
+    def start(self) -> None:
+        """Let the weights before the first epoch count: a warm start may be the best there is."""
+        self.stopping.is_best(free_run_rmse(self.engine, self.val))
+
+    def begin_again(self) -> None:
+        """Go back to the best weights, with fresh patience."""
+        self.engine.place(_vector(self.kept))
+        self.stopping.waited, self.stopping.reference = 0, self.stopping.best
 
     def goes_on(self, loss: float) -> bool:
         """Note an epoch that ended with this loss; whether there is to be another."""
@@ -118,7 +139,7 @@ def _adam(engine: Engine, windows: int, recipe: Recipe, shuffling: np.random.Gen
             return
 
 
-def _lbfgs(engine: Engine, recipe: Recipe, watch: _Watch) -> None:
+def _lbfgs(engine: Engine, iterations: int, watch: _Watch) -> None:
     """L-BFGS with the exact gradient over all windows; an iteration counts as an epoch."""
     import scipy.optimize
 
@@ -127,12 +148,16 @@ def _lbfgs(engine: Engine, recipe: Recipe, watch: _Watch) -> None:
         if not watch.goes_on(float(intermediate_result.fun)):
             raise StopIteration
 
-    start = np.concatenate([array.ravel() for array in engine.weights().values()]).astype(np.float64)
+    start = _vector(engine.weights())
     loss, _ = engine.loss_and_gradient(start)
     if not math.isfinite(loss):
         watch.goes_on(loss)
         return
     scipy.optimize.minimize(
         engine.loss_and_gradient, start, jac=True, method="L-BFGS-B", callback=after_iteration,
-        options={"maxiter": recipe.epochs, "maxfun": 20 * recipe.epochs, "maxcor": 20, "ftol": 0, "gtol": 0},
+        options={"maxiter": iterations, "maxfun": 20 * iterations, "maxcor": 20, "ftol": 0, "gtol": 0},
     )  # fmt: skip
+
+
+def _vector(weights: Tensors) -> FloatArray:
+    return np.concatenate([array.ravel() for array in weights.values()]).astype(np.float64)

@@ -74,10 +74,10 @@ def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     before = run.stat().st_mtime_ns
     outcome = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "2", *QUICK, "--jobs", "1")
     assert outcome.code == 0, outcome.err
-    assert "6 runs to do, 1 done already" in outcome.out
+    assert "7 runs to do, 1 done already" in outcome.out
     assert run.stat().st_mtime_ns == before
     table = pd.read_csv("results/twotank-sim/paper/rmse.csv")
-    assert list(dict.fromkeys(table["method"])) == ["n4sid", "nnss", "simba", "ssest", "ssregest"]
+    assert list(dict.fromkeys(table["method"])) == ["n4sid", "nnss", "nnss-ensemble", "simba", "ssest", "ssregest"]
     assert set(table.loc[table["method"] == "nnss", "seed"]) == {0, 1}
     assert nnss("report").code == 0
     assert json.loads(run.read_text())["provenance"]["nnss"] == __version__

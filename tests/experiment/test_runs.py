@@ -57,10 +57,10 @@ def scores_of(store: Store) -> dict:
 
 def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(tmp_path: Path) -> None:
     one, two = store_for(tmp_path / "one"), store_for(tmp_path / "two")
-    assert run_all(one, seeds=2) == 7  # two seeds of nnss and simba, the others once
+    assert run_all(one, seeds=2) == 8  # two seeds of nnss and simba, the others once
     assert run_all(one, seeds=2) == 0
-    assert run_all(one, seeds=3) == 2
-    assert run_all(two, seeds=3, jobs=2) == 9
+    assert run_all(one, seeds=3) == 3  # and the ensemble again
+    assert run_all(two, seeds=3, jobs=2) == 10
     assert run_all(two, seeds=3, jobs=2) == 0
     assert scores_of(one) == scores_of(two)
 
@@ -70,7 +70,7 @@ def test_an_unfinished_run_counts_as_missing(tmp_path: Path) -> None:
     run_all(store, seeds=1)
     before = scores_of(store)
     (store.folder / "runs" / "nnss-n2-s0" / "run.json").unlink()
-    assert run_all(store, seeds=1) == 1
+    assert run_all(store, seeds=1) == 2  # it and the ensemble of which it is a member
     assert scores_of(store) == before
 
 
@@ -81,7 +81,8 @@ def test_other_options_are_not_mixed_unless_forced(tmp_path: Path) -> None:
         run_all(store, seeds=1, overrides={"epochs": 3})
     run_all(store, seeds=1, overrides={"epochs": 3}, force=True)
     epochs = {r.spec.label: r.spec.settings["epochs"] for r in store.results() if "epochs" in r.spec.settings}
-    assert epochs == {"nnss-n2-s0": 3, "simba-n2-s0": 3}  # the old seed 1 has gone with its options
+    trained = dict.fromkeys(("nnss-n2-s0", "nnss-ensemble-n2-s0", "simba-n2-s0"), 3)
+    assert epochs == trained  # the old seed 1 has gone with its options
 
 
 def test_failure_and_divergence_are_results(

@@ -1,0 +1,72 @@
+"""Start an NN-SS model as a good linear one.
+
+With the last layer of the generator zero but for its bias, W, V, B and C do not depend on ρ: the
+model is linear, and the closed-form inverse of the Schur parametrisation makes it any stable linear
+model that one likes. Training then begins at that model's error and leaves linearity as it pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import cast
+
+import numpy as np
+import torch
+
+from nnss_cli.baselines.schur import schur_inverse
+from nnss_cli.baselines.ssest import ssest
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.encoder import set_encoder
+
+INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
+
+
+def linear_start(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float
+) -> tuple[LinearStateSpace, FloatArray]:
+    """SSEST's model with ρ(A) < γ, in the basis in which its states over the training records have unit covariance.
+
+    Returns:
+        The model in normalised units, and the matrix that takes y(0) to the x(0) from which it is scored.
+    """
+    model = ssest(train, val, order)
+    radius, limit = model.spectral_radius(), gamma * (1 - INSIDE)
+    if radius > limit:
+        model = LinearStateSpace(model.A * (limit / radius), model.B, model.C, model.D, model.Ts)
+    x = np.concatenate(
+        [model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[1] for record in train]
+    )
+    values, vectors = np.linalg.eigh(x.T @ x / len(x))
+    T = (vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))) @ vectors.T
+    scaled, initial = model.transform(T), T @ np.linalg.pinv(model.C)
+    spare = order - scaled.order  # poor data determine fewer states: the others start at rest, unconnected
+    if spare > 0:
+        A, B = np.pad(scaled.A, (0, spare)), np.pad(scaled.B, ((0, spare), (0, 0)))
+        scaled = LinearStateSpace(A, B, np.pad(scaled.C, ((0, 0), (0, spare))), scaled.D, scaled.Ts)
+        initial = np.pad(initial, ((0, spare), (0, 0)))
+    return scaled, initial
+
+
+def warm_start(model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...]) -> None:
+    """Set the last layers of `model` such that it simulates like SSEST's; the layers before keep their weights.
+
+    The encoder gets the map from y(0) to the initial state from which the linear model is scored.
+
+    Args:
+        model: initialised weights, changed in place.
+        train: experiments in normalised units.
+        val: validation experiments, for SSEST's choice among its optima.
+    """
+    a = model.architecture
+    start, E = linear_start(train, val, a.order, a.gamma)
+    W, V = schur_inverse(start.A, a.gamma, a.epsilon)
+    with torch.no_grad():
+        output = cast(torch.nn.Linear, model.generator[-1])
+        output.weight.zero_()
+        output.bias.copy_(torch.from_numpy(np.concatenate([part.ravel() for part in (W, V, start.B, start.C)])))
+        layers = [
+            (layer.weight.numpy(), layer.bias.numpy()) for layer in cast(Iterable[torch.nn.Linear], model.encoder)
+        ]
+        set_encoder(layers, E, np.zeros(a.order))

@@ -1,0 +1,118 @@
+"""Exact derivatives of simulated outputs, Gauss–Newton, the encoder by regression, warm starts."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from nnss_cli.baselines.ssest import ssest
+from nnss_cli.datasets.catalog import load
+from nnss_cli.datasets.record import Channels, Record, Scaling
+
+from nnss_cli.iterative import named_random
+from nnss_cli.model.architecture import SCHEDULING, Architecture
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.encoder import encoder_map, regress_encoder, set_encoder
+from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
+from nnss_cli.training.fast import FastEngine
+from nnss_cli.training.fit import train_nnss
+from nnss_cli.training.gauss_newton import gauss_newton
+from nnss_cli.training.recipe import Recipe
+from nnss_cli.training.warm import warm_start
+
+
+def make(architecture: Architecture, seed: int = 0) -> NNSS:
+    r, m = architecture.inputs, architecture.outputs
+    scaling = Scaling(np.zeros(r), np.ones(r), np.zeros(m), np.ones(m))
+    model = NNSS(architecture, scaling, Channels(("u",) * r, ("y",) * m, ("",) * r, ("",) * m), 1.0)
+    model.initialise(np.random.default_rng(seed))
+    return model
+
+
+def signals(a: Architecture, N: int, L: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(1)
+    return random.standard_normal((N, L, a.inputs)), random.standard_normal((N, L, a.outputs))
+
+
+@pytest.mark.parametrize("scheduling", SCHEDULING)
+@pytest.mark.parametrize(
+    ("n", "r", "m", "hidden", "encoder", "N", "L"),
+    [(3, 1, 1, (12, 9), (4, 4), 3, 12), (5, 2, 4, (7,), (), 1, 9), (8, 1, 2, (3, 3, 3), (2,), 2, 7)],
+)
+def test_derivatives_agree_with_automatic_ones(
+    n: int, r: int, m: int, hidden: tuple, encoder: tuple, N: int, L: int, scheduling: str
+) -> None:
+    a = Architecture(n, r, m, hidden, encoder, scheduling, gamma=0.9, dtype="float64")
+    model = make(a)
+    u, y = signals(a, N, L)
+    x0 = np.random.default_rng(2).standard_normal((N, n))
+    fast, reference = (engine(model, u, y, Recipe()).sensitivities(x0) for engine in (FastEngine, ReferenceEngine))
+    for ours, theirs in zip(fast, reference, strict=True):
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
+
+
+@pytest.mark.parametrize("hidden", [(3,), (40,)], ids=["fewer weights than errors", "more"])
+def test_gauss_newton_finds_a_model_of_its_own_kind(hidden: tuple) -> None:
+    a = Architecture(2, 1, 1, hidden, (4,), dtype="float64")
+    random = np.random.default_rng(3)
+    plant = make(a, seed=5)
+    u = random.standard_normal((2, 150, 1))
+    with torch.no_grad():
+        y = plant(torch.tensor(u), torch.tensor(random.standard_normal((2, 1))))[0].numpy()
+    errors: list[float] = []
+
+    def goes_on(error: float) -> bool:
+        errors.append(error)
+        return True
+
+    engine = FastEngine(make(a, seed=6), u, y, Recipe())
+    gauss_newton(engine, y, 60, goes_on)
+    assert all(later < earlier for earlier, later in itertools.pairwise(errors))
+    assert errors[-1] < 1e-3 * y.var()
+
+
+def test_an_encoder_is_set_and_regressed() -> None:
+    random = np.random.default_rng(0)
+    layers = [
+        (random.standard_normal((6, 2)), random.standard_normal(6)),
+        (random.standard_normal((3, 6)), np.zeros(3)),
+    ]
+    E, e = random.standard_normal((3, 2)), random.standard_normal(3)
+    set_encoder(layers, E, e)
+    for ours, expected in zip(encoder_map(layers, 2)[-1], (E, e), strict=True):
+        np.testing.assert_allclose(ours, expected, atol=1e-12)
+    y = random.standard_normal((50, 2))
+    for ours, expected in zip(regress_encoder(y, y @ E.T + e), (E, e), strict=True):
+        np.testing.assert_allclose(ours, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.97])
+def test_a_warm_start_simulates_like_ssest(gamma: float) -> None:
+    data = load("twotank-sim").fitting
+    train, val = data.normalised()
+    train, val = (train[0][:400],), (val[0][:200],)
+    model = make(Architecture(2, 1, 1, (9,), (3,), gamma=gamma, dtype="float64"))
+    warm_start(model, train, val)
+    linear = ssest(train, val, 2)
+    if linear.spectral_radius() > gamma:
+        return  # moved inside the bound, so another model
+    engine = FastEngine(model, np.zeros((1, 3, 1)), np.zeros((1, 3, 1)), Recipe())
+    record: Record = val[0]
+    ours = engine.free_run(record.u, record.y[0])
+    theirs, _ = linear.simulate(record.u, linear.state_from_output(record.y[0], record.u[0]))
+    np.testing.assert_allclose(ours, theirs, atol=1e-8)
+
+
+def test_a_warm_start_is_never_worse_on_validation_than_it_began() -> None:
+    data = load("twotank-sim").fitting
+    train, val = data.normalised()
+    recipe = Recipe(hidden=(4,), encoder=(3,), warm=True, window=0, dtype="float64", optimiser="gauss-newton", epochs=8)
+    training = train_nnss(data, 2, 0, recipe)
+    started = make(recipe.architecture(2, 1, 1))
+    started.initialise(named_random(0, "weights"))
+    warm_start(started, train, val)
+    zero = np.zeros((1, 3, 1))
+    begun, ended = (free_run_rmse(FastEngine(model, zero, zero, recipe), val) for model in (started, training.model))
+    assert ended <= begun
+    assert ended < 0.7 * begun  # the plant is not linear
