@@ -30,7 +30,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@echo "installing torch $(TORCH)"
 	@$(PIP) torch==$(TORCH)+cpu 2>/dev/null || $(PIP) --index-url $(TORCH_INDEX) torch==$(TORCH) || $(PIP) torch==$(TORCH)
 	@echo "installing nnss"
-	@$(PIP) --editable '.[test,lint]'
+	@$(PIP) --editable '.[tune,certify,test,lint]'
 	@touch $@
 
 demo: install ## A small comparison on the embedded plant: no download, about two minutes

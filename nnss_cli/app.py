@@ -11,7 +11,7 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import compare, fetch, order, report, train
+from nnss_cli.commands import compare, fetch, order, report, train, tune
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.version import __version__
@@ -28,6 +28,7 @@ for _name, _module, _example in (
     ("fetch", fetch, "nnss fetch daisy-powerplant    nnss fetch twotank --from twotankdata.mat"),
     ("train", train, "nnss train twotank --order 3 --seed 0"),
     ("compare", compare, "nnss compare twotank --orders 2 3 4 --seeds 10 --methods nnss n4sid"),
+    ("tune", tune, "nnss tune twotank --order 3 --trials 50"),
     ("order", order, "nnss order twotank --max-order 8"),
     ("report", report, "nnss report --out results"),
 ):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -78,6 +78,10 @@ class RunResult:
     """Names and units, for figures."""
     notes: tuple[str, ...] = ()
     """What a reader of the scores must know about the split."""
+
+    def renamed(self, method: str) -> RunResult:
+        """The same result under another method's name."""
+        return replace(self, spec=replace(self.spec, method=method))
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""

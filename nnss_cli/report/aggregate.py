@@ -104,6 +104,14 @@ def scored_split(results: Sequence[RunResult]) -> str:
 
 def paper_table() -> pd.DataFrame:
     """RMSE as printed in the paper: dataset, order, method, output, split, rmse."""
-    source = resources.files("nnss_cli.report") / "paper_tables.csv"
-    with source.open(encoding="utf-8") as stream:
+    return _reference("paper_tables.csv")
+
+
+def released_table() -> pd.DataFrame:
+    """RMSE of the models that the paper's authors released, mean over outputs: quartiles over ten seeds."""
+    return _reference("released_models.csv")
+
+
+def _reference(name: str) -> pd.DataFrame:
+    with (resources.files("nnss_cli.report") / name).open(encoding="utf-8") as stream:
         return pd.read_csv(stream)

@@ -18,7 +18,18 @@ from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
 from nnss_cli.report import figures
 from nnss_cli.report.aggregate import best_by_method, long_table, methods_of, scored_split
-from nnss_cli.report.tables import SPLIT_NAMES, failures, paper_comparison, rmse_markdown
+from nnss_cli.report.evidence import (
+    QUIRKS,
+    ahead,
+    blocks,
+    intervals,
+    optimism,
+    paper_comparison,
+    ranking,
+    released_comparison,
+)
+from nnss_cli.report.statistics import critical_difference, mean_ranks
+from nnss_cli.report.tables import SPLIT_NAMES, failures, rmse_markdown
 
 HOUR = 3600.0
 
@@ -71,12 +82,37 @@ def write_report(out: Path) -> Path:
         "Rebuilt by `nnss report` from the runs on disk, without training. RMSE of free simulations from the first "
         "output sample, in physical units.",
     ]
+    for protocol in sorted({store.protocol for store in found}):
+        parts += _overall([r for store in found if store.protocol == protocol for r in store.results()], protocol, out)
     for store in found:
         files = write_comparison(store)
         parts.append(_section(store, files, out))
     path = out / "report.md"
     write_text(path, "\n\n".join(parts) + "\n")
     return path
+
+
+def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str]:
+    """Methods over all datasets and orders of a protocol; little where fewer than two are complete."""
+    parts = [QUIRKS] if protocol == "paper" else []
+    table = blocks(results)
+    if table.shape[0] < 2 or table.shape[1] < 2:
+        return parts
+    figure = figures.draw_ranks(
+        mean_ranks(table), critical_difference(table.shape[1], len(table)),
+        f"Mean ranks over {len(table)} dataset-order pairs, protocol {protocol}",
+    )  # fmt: skip
+    name = f"ranks-{protocol}.png"
+    figures.save_figure(figure, out / name)
+    figures.close_figure(figure)
+    standing = ahead(table)
+    return [
+        *parts,
+        f"## All datasets, protocol `{protocol}`",
+        ranking(table),
+        f"![critical-difference diagram, protocol {protocol}]({name})",
+        *(["NN-SS and the best of the other methods:\n\n" + standing] if standing else []),
+    ]
 
 
 def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str) -> list[Path]:
@@ -105,12 +141,23 @@ def _section(store: Store, files: Sequence[Path], out: Path) -> str:
         parts.append(f"{entry.title}. Source: {entry.citation}.")
     # The comparison's own page, its headings one level down.
     parts.append("\n".join(f"#{line}" if line.startswith("##") else line for line in table.splitlines()[2:]).strip())
-    beside = paper_comparison(results)
-    if beside:
-        parts.append(
-            "### Beside the paper's table\n\nThe paper prints the best of ten seeds, chosen on test; ours is "
-            "the median over the seeds run and the best chosen on validation.\n\n" + beside
-        )
+    for title, body in (
+        ("Medians with 95 % bootstrap intervals over seeds", intervals(results)),
+        (
+            "Beside the paper's table\n\nThe paper prints the best of ten seeds, chosen on test, so the verdict is on "
+            "ours chosen likewise: reproduced (within 10 %, or in the last printed digit), better or worse. NN-SS "
+            "with the paper's recipe",
+            paper_comparison(results),
+        ),
+        (
+            "Beside the models that the authors released\n\nMedians over seeds, mean over outputs; NN-SS with the "
+            "paper's recipe",
+            released_comparison(results),
+        ),
+        ("Optimism of choosing on test\n\nError on test of the best seed, mean over outputs", optimism(results)),
+    ):
+        if body:
+            parts.append(f"### {title}\n\n{body}")
     parts.append("### Figures")
     parts += [
         f"![{path.stem} of {store.dataset}, protocol {store.protocol}]({path.relative_to(out).as_posix()})"

@@ -14,6 +14,7 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -278,6 +279,53 @@ def draw_orders(
             panel.set_xlabel("order n")
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def draw_ranks(ranks: pd.Series, difference: float, title: str) -> Figure:
+    """Critical-difference diagram: mean ranks on a line; a bar joins methods that are not shown to differ.
+
+    Args:
+        ranks: mean rank by method, ascending.
+        difference: the critical difference.
+        title: of the figure.
+    """
+    k = len(ranks)
+    values = ranks.to_numpy()
+    groups: list[tuple[int, int]] = []
+    for i in range(k):
+        j = max(j for j in range(k) if values[j] - values[i] <= difference)
+        if j > i and (not groups or j > groups[-1][1]):
+            groups.append((i, j))
+    left = (k + 1) // 2
+    with plt.rc_context(STYLE):
+        rows = max(left, k - left)
+        figure, panel = plt.subplots(figsize=(7.2, 1.3 + 0.24 * (rows + len(groups))), layout="constrained")
+        panel.axis("off")
+        panel.set_xlim(0.2 - 0.25 * k, 1.25 * k + 0.8)
+        low = -0.5 - 0.35 * len(groups)
+        panel.set_ylim(low - 0.6 * rows - 0.2, 1.6)
+        panel.plot([1, k], [0, 0], color="black", linewidth=1)
+        for tick in range(1, k + 1):
+            panel.plot([tick, tick], [0, 0.18], color="black", linewidth=1)
+            panel.text(tick, 0.28, str(tick), ha="center", va="bottom")
+        panel.plot([1, 1 + difference], [1.05, 1.05], color="black", linewidth=2, marker="|")
+        panel.text(1 + difference / 2, 1.12, f"critical difference {difference:.2f}", ha="center", va="bottom")
+        for index, (i, j) in enumerate(groups):
+            height = -0.35 - 0.35 * index
+            panel.plot([values[i] - 0.05, values[j] + 0.05], [height, height], color="0.35", linewidth=3.5)
+        for position, (method, rank) in enumerate(ranks.items()):
+            on_left = position < left
+            height = low - 0.6 * (position if on_left else k - 1 - position)
+            end = 0.8 if on_left else k + 0.2
+            style = style_of(str(method))
+            panel.plot([rank, rank, end], [0, height, height], color=style.colour, linewidth=1, linestyle=style.line)
+            panel.plot([rank], [0], color=style.colour, marker=style.marker, markersize=4)
+            panel.text(
+                end + (-0.08 if on_left else 0.08), height, f"{style.label} ({rank:.2f})",
+                ha="right" if on_left else "left", va="center",
+            )  # fmt: skip
+        panel.set_title(title, fontsize=9)
     return figure
 
 

@@ -10,7 +10,8 @@ from tabulate import tabulate
 from nnss_cli.datasets.record import SPLITS
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
-from nnss_cli.report.aggregate import MEAN, methods_of, paper_table, scored_split, summary
+from nnss_cli.experiment.tune import Trial
+from nnss_cli.report.aggregate import MEAN, methods_of, scored_split, summary
 
 SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
@@ -37,7 +38,7 @@ def rmse_markdown(results: Sequence[RunResult]) -> str:
     for split in SPLITS:
         body = rows_of_split(table, split, methods_of(results))
         if body:
-            parts.append(f"## {SPLIT_NAMES[split]}\n\n" + _markdown(body))
+            parts.append(f"## {SPLIT_NAMES[split]}\n\n" + markdown(body))
     lines = failures(results)
     if lines:
         parts.append("## Runs without a result\n\n" + "\n".join(f"- {line}" for line in lines))
@@ -108,36 +109,26 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
     ]
 
 
+def trial_rows(trials: Sequence[Trial]) -> list[dict[str, str]]:
+    """Trials of a search as text."""
+    return [
+        {
+            "trial": str(t.number), "state": t.state, "val": number(t.val_rmse, 3),
+            "hidden": f"{t.values['width']}×{t.values['depth']}",
+            "encoder": f"{t.values['encoder_width']}×{t.values['encoder_depth']}",
+            "λ": number(t.values["lambda"], 2), "rate": number(t.values["learning_rate"], 2),
+            "window": str(t.values["window"]), "batch": str(t.values["batch"]),
+        }
+        for t in trials
+    ]  # fmt: skip
+
+
 def _cells(table: pd.DataFrame, method: str, order: int) -> dict[str, pd.Series]:
     if table.empty:
         return {}
     own = table[(table["method"] == method) & (table["order"] == order)]
     output = MEAN if (own["output"] == MEAN).any() else "y1"
     return {str(row["split"]): row for _, row in own[own["output"] == output].iterrows()}
-
-
-def paper_comparison(results: Sequence[RunResult]) -> str:
-    """The paper's printed values beside ours ("" where the paper prints none for these runs).
-
-    The paper prints the best of ten seeds, chosen on test; ours is the median and the best chosen
-    on validation.
-    """
-    first = results[0].spec
-    printed = paper_table()
-    printed = printed[printed["dataset"] == first.dataset]
-    ours = summary(results)
-    if printed.empty or ours.empty or first.protocol != "paper":
-        return ""
-    merged = printed.merge(ours, how="left", on=["order", "method", "output", "split"])
-    rows = [
-        {
-            "order": row.order, "method": row.method, "output": row.output, "split": row.split,
-            "paper": number(row.rmse), "ours: median": number(row.median), "ours: best by validation": number(row.best),
-            "median to paper": f"{100 * (row.median / row.rmse - 1):+.0f} %" if pd.notna(row.median) else "–",
-        }
-        for row in merged.itertuples()
-    ]  # fmt: skip
-    return _markdown(rows)
 
 
 def _explanation(results: Sequence[RunResult]) -> str:
@@ -149,5 +140,6 @@ def _explanation(results: Sequence[RunResult]) -> str:
     return "\n\n".join(lines + [f"Note: {note}" for note in notes])
 
 
-def _markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
+def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
+    """A pipe table."""
     return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)

@@ -122,7 +122,7 @@ _BEST_OF: dict[str, Recipe] = {
     # its errors are coloured noise and unmodelled modes: more iterations only overfit
     "robotarm": _BEST.replace(epochs=10),
     # 100 samples: depth and consistency act as a prior, and a warm start overfits
-    "daisy-powerplant": _POWER_PLANT.replace(hidden=(120,) * 6, consistency=0.1),
+    "daisy-powerplant": _POWER_PLANT.replace(hidden=(120,) * 6, consistency=0.3, window=60, stride=10, batch=5),
 }
 
 

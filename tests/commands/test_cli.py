@@ -36,10 +36,27 @@ def test_values_after_one_option_are_repeated(args: str, expected: str) -> None:
 
 def test_version_and_help(nnss: Callable) -> None:
     assert nnss("--version").out.strip() == f"nnss {__version__}"
-    for command in ("fetch", "train", "compare", "order", "report"):
+    for command in ("fetch", "train", "compare", "tune", "order", "report"):
         outcome = nnss(command, "--help")
         assert outcome.code == 0
         assert "Example: nnss " + command in " ".join(outcome.out.split())
+
+
+def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
+    pytest.importorskip("optuna")
+    call = ("tune", "twotank-sim", "--order", "2", "--epochs", "2", "--window", "40", "--trials", "2")
+    outcome = nnss(*call)
+    assert outcome.code == 0, outcome.err
+    assert Path("results/twotank-sim/paper/tune/order-2.db").exists()
+    outcome = nnss(*call, "--sampler", "gp")
+    assert outcome.code == 0, outcome.err
+    assert "best of 4 trials" in outcome.out
+    line = next(line for line in outcome.out.splitlines() if "nnss train" in line)
+    trained = nnss(*line.partition("nnss ")[2].split(), "--epochs", "1", "--window", "40")
+    assert trained.code == 0, trained.err
+    refused = nnss(*call[:-4], "--window", "50", "--trials", "2")
+    assert refused.code == 2
+    assert "instead of" in refused.err
 
 
 def test_python_dash_m() -> None:

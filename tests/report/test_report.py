@@ -11,7 +11,8 @@ from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
 from nnss_cli.report.aggregate import COLUMNS, best_run, long_table, summary
 from nnss_cli.report.build import transient, write_comparison, write_report
-from nnss_cli.report.tables import paper_comparison, rmse_markdown, terminal_rows
+from nnss_cli.report.evidence import ahead, blocks, optimism, paper_comparison, ranking, released_comparison
+from nnss_cli.report.tables import rmse_markdown, terminal_rows
 
 CHANNELS = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
 PROVENANCE = dict.fromkeys(("nnss", "python", "numpy", "scipy", "torch", "machine"), "0")
@@ -77,7 +78,36 @@ def test_the_papers_values_stand_beside_ours() -> None:
     line = next(line for line in text.splitlines() if "nnss" in line and "test" in line)
     assert "0.01" in line
     assert "8" in line
+    assert "worse" in line
     assert paper_comparison([replace(r, spec=replace(r.spec, protocol="strict")) for r in RUNS]) == ""
+
+
+def test_only_the_papers_recipe_stands_beside_the_paper() -> None:
+    best = [replace(r, spec=replace(r.spec, settings={"recipe": "best"})) for r in RUNS]
+    line = next(line for line in paper_comparison(best).splitlines() if "nnss" in line and "test" in line)
+    assert "| –" in line
+    by_name = [*best, result("nnss-paper", 0, val=0.5, test=0.01)]
+    line = next(line for line in paper_comparison(by_name).splitlines() if "nnss" in line and "test" in line)
+    assert "reproduced" in line
+    released = released_comparison(by_name)
+    assert any("0.02" in line and "better" in line for line in released.splitlines() if "| test" in line)
+
+
+def test_choosing_on_test_is_shown_to_be_optimistic() -> None:
+    (line,) = (line for line in optimism(RUNS).splitlines() if "nnss" in line)
+    assert [cell.strip() for cell in line.split("|")][3:6] == ["8", "1", "88 %"]
+
+
+def test_methods_are_ranked_over_datasets_and_orders() -> None:
+    runs = [
+        result(method, 0, val=1.0, test=error + order, order=order)
+        for order in (2, 3, 4)
+        for method, error in (("nnss", 1.0), ("n4sid", 2.0), ("simba", 0.5 if order == 2 else 3.0))
+    ]
+    table = blocks([*runs, result("ssest", 0, 1.0, 1.0, status="failed")])
+    assert table.shape == (3, 3)
+    assert "nnss 1.33" in ranking(table)
+    assert [line.split("|")[-2].strip() for line in ahead(table).splitlines()[2:]] == ["behind", "ahead", "ahead"]
 
 
 def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> None:

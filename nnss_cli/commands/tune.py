@@ -1,0 +1,59 @@
+"""`nnss tune`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nnss_cli.commands import options as opt
+from nnss_cli.errors import InputError
+
+
+@opt.with_fit_options
+def command(
+    dataset: opt.DatasetName,
+    order: Annotated[int, typer.Option("--order", metavar="N", help="Number of states n.")],
+    trials: Annotated[
+        int, typer.Option("--trials", metavar="N", help="Recipes to try; they add to earlier ones.")
+    ] = 50,
+    sampler: Annotated[
+        str, typer.Option("--sampler", metavar="tpe|gp", help="Parzen estimator, or Gaussian process as in the paper.")
+    ] = "tpe",
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the weights and the search.", min=0)] = 0,
+    protocol: opt.ProtocolName = "paper",
+    out: opt.Out = Path("results"),
+    mirror: opt.Mirror = None,
+    offline: opt.Offline = False,
+    changes: dict[str, Any] | None = None,
+) -> None:
+    """Search widths, depths, λ, learning rate and window of NN-SS, on validation only.
+
+    Kept in an SQLite file: the same command goes on from where it stopped. An option that is given is not searched.
+    """
+    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.experiment.store import Store
+    from nnss_cli.experiment.sweep import check_order
+    from nnss_cli.experiment.tune import Trial, options_of, tune
+    from nnss_cli.files import require_writable
+    from nnss_cli.report.tables import trial_rows
+
+    if trials < 1:
+        raise InputError(f"--trials: expected at least 1, found {trials}")
+    data = ready_dataset(dataset, protocol, mirror, offline)
+    check_order(order, data.fitting)
+    folder = Store(out, dataset, data.protocol).folder
+    require_writable(folder)
+    storage = folder / "tune" / f"order-{order}.db"
+
+    def tell(trial: Trial) -> None:
+        console.print(f"trial {trial.number}: {trial.state}, val RMSE/σ {trial.val_rmse:.4g}", highlight=False)
+
+    found = tune(data.fitting, order, trials, sampler, seed, changes or {}, storage, tell)
+    print_rows(trial_rows(found[:10]), f"{dataset}, protocol {protocol}, order {order}: best of {len(found)} trials")
+    if found[0].state == "complete":
+        line = f"nnss train {dataset} --order {order} --seed {seed} {options_of(found[0].values)}"
+        console.print("Train the best one:", line, soft_wrap=True, highlight=False)
+    console.print(str(storage), soft_wrap=True, highlight=False)
