@@ -2,7 +2,13 @@
 
     S = WᵀW + εI (2n × 2n) = [[S11, S12], [S12ᵀ, S22]],   M = ½(S11/γ² + S22) + V − Vᵀ,   A = S12 M⁻¹
 
-has ρ(A) < γ for every W and V. Source: L. Di Natale et al., "Stable linear subspace
+has ρ(A) < γ for every W and V. With the Cholesky factors S11 = L1 L1ᵀ, S22 = L2 L2ᵀ and, in S, ε (1 + tr(WᵀW)/2n)
+in the place of ε
+
+    A = γ L1⁻¹ S12 L2⁻ᵀ
+
+has ‖A‖₂ < γ for every W, so that ‖x‖² is a Lyapunov function that all such A share. ε grows with W there, for
+the factors would lose the bound to rounding otherwise. Source: L. Di Natale et al., "Stable linear subspace
 identification: a machine learning approach" (SIMBa), ECC 2024. The formula printed in the NN-SS
 paper (a block-diagonal 2n × 2n term plus an n × n one) does not fit in its dimensions; the code
 released with it computes this one.
@@ -55,3 +61,48 @@ def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -
     S = (S + S.T) / 2
     S *= max(2 * epsilon / np.linalg.eigvalsh(S)[0], 4 * n / np.trace(S))
     return np.linalg.cholesky(S - epsilon * np.eye(2 * n)).T, np.zeros((n, n))
+
+
+def contraction_matrix(W: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -> FloatArray:
+    """A (n, n) with ‖A‖₂ < γ from W (2n, 2n)."""
+    n = len(W) // 2
+    S = W.T @ W
+    S = S + epsilon * (1 + np.trace(S) / (2 * n)) * np.eye(2 * n)
+    L1, L2 = np.linalg.cholesky(S[:n, :n]), np.linalg.cholesky(S[n:, n:])
+    left = scipy.linalg.solve_triangular(L1, S[:n, n:], lower=True)
+    return gamma * scipy.linalg.solve_triangular(L2, left.T, lower=True).T
+
+
+def contraction_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -> FloatArray:
+    """W (2n, 2n) with `contraction_matrix(W)` = A, in closed form: S = 2 [[I, A/γ], [Aᵀ/γ, I]].
+
+    Args:
+        A: matrix (n, n) with ‖A‖₂ < γ, by a margin of about 2 γ ε.
+        gamma: bound on the norm.
+        epsilon: as in `contraction_matrix`.
+
+    Raises:
+        InputError: the norm is too large, so no W exists; `contracting_basis` finds a basis in which it is not.
+    """
+    n = len(A)
+    K = A / gamma
+    S = 2 * np.block([[np.eye(n), K], [K.T, np.eye(n)]])
+    added = epsilon * (1 + np.trace(S) / (2 * n)) / (1 + epsilon)
+    norm = float(np.linalg.norm(K, 2))
+    if 2 * (1 - norm) <= added:
+        raise InputError(f"A has norm {norm * gamma:.6g}: expected less than gamma = {gamma:g} by {gamma * added:.1g}")
+    return np.linalg.cholesky(S - added * np.eye(2 * n)).T
+
+
+def contracting_basis(A: FloatArray, gamma: float = 1.0) -> FloatArray:
+    """T (n, n) such that ‖T A T⁻¹‖₂ < γ: T = P^(−1/2) with γ²P − A P Aᵀ = I.
+
+    Raises:
+        InputError: ρ(A) ≥ γ, so there is none.
+    """
+    radius = float(np.abs(np.linalg.eigvals(A)).max())
+    if not radius < gamma:
+        raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
+    P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(len(A)))
+    values, vectors = np.linalg.eigh((P + P.T) / 2)
+    return np.sqrt(values[0]) * (vectors / np.sqrt(values)) @ vectors.T

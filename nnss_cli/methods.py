@@ -122,7 +122,11 @@ class NNSS:
         if settings["engine"] == "fast":
             from nnss_cli.training.fast import warm_up
 
-            warm_up(settings["dtype"])
+            warm_up(
+                settings["dtype"],
+                settings["stability"],
+                settings["optimiser"] == "gauss-newton" or settings["refine"] > 0,
+            )
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train an NN-SS model."""

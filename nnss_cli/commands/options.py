@@ -88,6 +88,7 @@ FIT_OPTIONS: dict[str, Any] = {
     "hidden": _training(list[int], "--hidden", "N …", "Widths of the generator's layers, e.g. --hidden 100 100."),
     "encoder": _training(list[int], "--encoder", "N …", "Widths of the encoder's layers."),
     "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y", "What schedules the matrices."),
+    "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
     "dtype": _training(str, "--dtype", "float32|float64", "Precision."),

@@ -9,6 +9,7 @@ from nnss_cli.errors import InputError, unknown
 
 SCHEDULING = ("x", "x+u", "x+y", "x+u+y")
 DTYPES = ("float32", "float64")
+STABILITIES = ("schur", "contraction", "none")
 
 
 @dataclass(frozen=True)
@@ -28,17 +29,21 @@ class Architecture:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y (y is the previous output)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), 0 < γ ≤ 1."""
+    """Bound on the spectral radius of A(ρ), or on its norm (contraction), 0 < γ ≤ 1."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
     """float32 or float64."""
+    stability: str = "schur"
+    """How A follows from the generator: schur, contraction or none."""
 
     def __post_init__(self) -> None:
         if self.scheduling not in SCHEDULING:
             raise unknown("scheduling", self.scheduling, SCHEDULING)
         if self.dtype not in DTYPES:
             raise unknown("dtype", self.dtype, DTYPES)
+        if self.stability not in STABILITIES:
+            raise unknown("stability", self.stability, STABILITIES)
         if not 0 < self.gamma <= 1:
             raise InputError(f"gamma: expected 0 < gamma ≤ 1, found {self.gamma}")
         if not self.epsilon > 0:

@@ -115,18 +115,13 @@ entry = njit(cache=True, **OPTIONS)
 
 
 @part
-def _step(
-    theta: Any, x: Any, u: Any, gamma: float, epsilon: float, LU: Any, z: Any, q: Any, x_next: Any, y: Any
-) -> None:
-    """One sample: x_next, y, and what the adjoint needs (LU of M, z, q), batch innermost."""
+def _schur(theta: Any, x: Any, gamma: float, epsilon: float, LU: Any, z: Any, q: Any, x_next: Any) -> None:
+    """x_next = A x for A of spectral radius below γ; LU of M, z and q are for the adjoint."""
     n, b = x.shape
-    r, m = u.shape[0], y.shape[0]
     g = theta.dtype.type(0.5 / gamma**2)
     half = theta.dtype.type(0.5)
     diagonal = theta.dtype.type(0.5 * epsilon * (1 + 1 / gamma**2))
     V = 4 * n * n
-    B = V + n * (n - 1) // 2
-    C = B + n * r
     for i in range(n):
         for j in range(i, n):
             upper, lower = LU[i * n + j], LU[j * n + i]
@@ -184,46 +179,21 @@ def _step(
             w1 = theta[k * 2 * n + j]
             for s in range(b):
                 x_next[j, s] += w1[s] * q[k, s]
-    for j in range(n):
-        for c in range(r):
-            row = theta[B + j * r + c]
-            for s in range(b):
-                x_next[j, s] += row[s] * u[c, s]
-    for o in range(m):
-        for s in range(b):
-            y[o, s] = 0
-        for j in range(n):
-            row = theta[C + o * n + j]
-            for s in range(b):
-                y[o, s] += row[s] * x[j, s]
 
 
 @part
-def _step_adjoint(
-    theta: Any,
-    x: Any,
-    u: Any,
-    gamma: float,
-    LU: Any,
-    z: Any,
-    q: Any,
-    mu: Any,
-    d_y: Any,
-    d_theta: Any,
-    d_x: Any,
-    work: Any,
-) -> None:
-    """∂J/∂θ and ∂J/∂x of one sample from μ = ∂J/∂x(k+1) and ∂J/∂y; the module's docstring has the formulas.
+def _schur_adjoint(
+    theta: Any, x: Any, Ax: Any, gamma: float, epsilon: float, LU: Any, z: Any, q: Any, mu: Any,  # noqa: ARG001
+    d_theta: Any, d_x: Any, work: Any,
+) -> None:  # fmt: skip
+    """∂J/∂W, ∂J/∂V and what ∂J/∂x has through A x; the module's docstring has the formulas.
 
-    `d_x` is added to. `work` (5 n, b) holds λ, then W1 μ, W1 λ and W1 z, W2 λ row by row.
+    `work` (n + 3, b) holds λ, then W1 μ, W1 λ and W1 z, W2 λ row by row.
     """
     n, b = x.shape
-    r, m = u.shape[0], d_y.shape[0]
     g = theta.dtype.type(0.5 / gamma**2)
     half = theta.dtype.type(0.5)
     V = 4 * n * n
-    B = V + n * (n - 1) // 2
-    C = B + n * r
     lam = work[:n]
     for j in range(n):
         for s in range(b):
@@ -277,12 +247,312 @@ def _step_adjoint(
             d_skew = d_theta[V + i * (2 * n - i - 1) // 2 + j - i - 1]
             for s in range(b):
                 d_skew[s] = z[i, s] * lam[j, s] - lam[i, s] * z[j, s]
-        for c in range(r):
-            d_b = d_theta[B + i * r + c]
-            for s in range(b):
-                d_b[s] = mu[i, s] * u[c, s]
+    for i in range(n):
         for s in range(b):
             d_x[i, s] += lam[i, s]
+
+
+@part
+def _contraction(theta: Any, x: Any, gamma: float, epsilon: float, L: Any, z: Any, q: Any, x_next: Any) -> None:
+    """x_next = γ L1⁻¹ S12 L2⁻ᵀ x; the two Cholesky factors, z = L2⁻ᵀ x and q = W2 z are for the adjoint.
+
+    L1 is the lower triangle of the first n² rows of L, L2 of the others.
+    """
+    n, b = x.shape
+    _relative_epsilon(theta, n, epsilon, q[0])
+    for part in range(2):
+        for i in range(n):
+            for j in range(i + 1):
+                entry = L[part * n * n + i * n + j]
+                for s in range(b):
+                    entry[s] = 0
+                for k in range(2 * n):
+                    w1, w2 = theta[k * 2 * n + part * n + i], theta[k * 2 * n + part * n + j]
+                    for s in range(b):
+                        entry[s] += w1[s] * w2[s]
+                if i == j:
+                    for s in range(b):
+                        entry[s] += q[0, s]
+        for j in range(n):
+            pivot = L[part * n * n + j * n + j]
+            for s in range(b):
+                pivot[s] = math.sqrt(pivot[s])
+            for i in range(j + 1, n):
+                entry = L[part * n * n + i * n + j]
+                for s in range(b):
+                    entry[s] = entry[s] / pivot[s]
+            for i in range(j + 1, n):
+                for k in range(j + 1, i + 1):
+                    entry = L[part * n * n + i * n + k]
+                    f1, f2 = L[part * n * n + i * n + j], L[part * n * n + k * n + j]
+                    for s in range(b):
+                        entry[s] -= f1[s] * f2[s]
+    for i in range(n):
+        for s in range(b):
+            z[i, s] = x[i, s]
+            x_next[i, s] = 0
+    _solve_transposed(L[n * n :], z)
+    for k in range(2 * n):
+        for s in range(b):
+            q[k, s] = 0
+        for j in range(n):
+            w2 = theta[k * 2 * n + n + j]
+            for s in range(b):
+                q[k, s] += w2[s] * z[j, s]
+        for j in range(n):
+            w1 = theta[k * 2 * n + j]
+            for s in range(b):
+                x_next[j, s] += w1[s] * q[k, s]
+    _solve(L, x_next)
+    scale = theta.dtype.type(gamma)
+    for i in range(n):
+        for s in range(b):
+            x_next[i, s] *= scale
+
+
+@part
+def _relative_epsilon(theta: Any, n: int, epsilon: float, out: Any) -> None:
+    """ε (1 + tr(WᵀW)/2n) of each window."""
+    one, share = theta.dtype.type(epsilon), theta.dtype.type(epsilon / (2 * n))
+    for s in range(out.size):
+        out[s] = 0
+    for k in range(4 * n * n):
+        w = theta[k]
+        for s in range(out.size):
+            out[s] += w[s] * w[s]
+    for s in range(out.size):
+        out[s] = one + share * out[s]
+
+
+@part
+def _solve(L: Any, x: Any) -> None:
+    """x = L⁻¹ x for the lower triangle L (n², b)."""
+    n, b = x.shape
+    for i in range(n):
+        for j in range(i):
+            factor = L[i * n + j]
+            for s in range(b):
+                x[i, s] -= factor[s] * x[j, s]
+        pivot = L[i * n + i]
+        for s in range(b):
+            x[i, s] = x[i, s] / pivot[s]
+
+
+@part
+def _solve_transposed(L: Any, x: Any) -> None:
+    """x = L⁻ᵀ x."""
+    n, b = x.shape
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            factor = L[j * n + i]
+            for s in range(b):
+                x[i, s] -= factor[s] * x[j, s]
+        pivot = L[i * n + i]
+        for s in range(b):
+            x[i, s] = x[i, s] / pivot[s]
+
+
+@part
+def _cholesky_adjoint(L: Any, left: Any, right: Any, G: Any) -> None:
+    """G = −2 ∂J/∂S for S = L Lᵀ with ∂J/∂L = −(L⁻ᵀ left) rightᵀ, or, the same in effect, −z rightᵀ for left = Lᵀ z.
+
+    ∂J/∂S = ½ L⁻ᵀ (Φ + Φᵀ) L⁻¹ with Φ the lower triangle of −left rightᵀ, its diagonal halved. G (n, n, b).
+    """
+    n, b = left.shape
+    for i in range(n):
+        for j in range(i + 1):
+            for s in range(b):
+                G[i, j, s] = left[i, s] * right[j, s]
+                G[j, i, s] = G[i, j, s]
+    for _ in range(2):  # from the left, then, G being symmetric, from the right by way of its transpose
+        for j in range(n):
+            _solve_transposed(L, G[:, j])
+        for i in range(n):
+            for j in range(i):
+                for s in range(b):
+                    G[i, j, s], G[j, i, s] = G[j, i, s], G[i, j, s]
+
+
+@part
+def _contraction_adjoint(
+    theta: Any, x: Any, Ax: Any, gamma: float, epsilon: float, L: Any, z: Any, q: Any, mu: Any,
+    d_theta: Any, d_x: Any, work: Any,
+) -> None:  # fmt: skip
+    """∂J/∂W and what ∂J/∂x has through A x.
+
+    With v = γ L1⁻ᵀ μ, λ = L2⁻¹ W2ᵀ W1 v and G1, G2 of `_cholesky_adjoint` for (μ, A x) and (x, λ):
+
+        ∂J/∂x = λ + …,   ∂J/∂W1 = q vᵀ − W1 G1 − t W1,   ∂J/∂W2 = (W1 v) zᵀ − W2 G2 − t W2
+
+    where t = (ε/2n) tr(G1 + G2) is due to ε's part of S growing with W. V has no part.
+    `work` (2 n² + 2 n + 2, b).
+    """
+    n, b = x.shape
+    scale, share = theta.dtype.type(gamma), theta.dtype.type(epsilon / (2 * n))
+    v, lam, d_q, t = work[:n], work[n : 2 * n], work[2 * n], work[2 * n + 1]
+    G = work[2 * n + 2 : 2 * n * (n + 1) + 2].reshape(2, n, n, b)
+    for i in range(n):
+        for s in range(b):
+            v[i, s] = scale * mu[i, s]
+            lam[i, s] = 0
+    _solve_transposed(L, v)
+    for k in range(2 * n):
+        for s in range(b):
+            d_q[s] = 0
+        for j in range(n):
+            w1 = theta[k * 2 * n + j]
+            for s in range(b):
+                d_q[s] += w1[s] * v[j, s]
+        for j in range(n):
+            w2, d_w1, d_w2 = theta[k * 2 * n + n + j], d_theta[k * 2 * n + j], d_theta[k * 2 * n + n + j]
+            for s in range(b):
+                lam[j, s] += w2[s] * d_q[s]
+                d_w1[s] = q[k, s] * v[j, s]
+                d_w2[s] = d_q[s] * z[j, s]
+    _solve(L[n * n :], lam)
+    _cholesky_adjoint(L, mu, Ax, G[0])
+    _cholesky_adjoint(L[n * n :], x, lam, G[1])
+    for s in range(b):
+        t[s] = 0
+    for part in range(2):
+        for i in range(n):
+            for s in range(b):
+                t[s] += G[part, i, i, s]
+    for s in range(b):
+        t[s] *= share
+    for part in range(2):
+        for k in range(2 * n):
+            for j in range(n):
+                w, d_w = theta[k * 2 * n + part * n + j], d_theta[k * 2 * n + part * n + j]
+                for s in range(b):
+                    d_w[s] -= t[s] * w[s]
+                for i in range(n):
+                    w_i = theta[k * 2 * n + part * n + i]
+                    for s in range(b):
+                        d_w[s] -= w_i[s] * G[part, i, j, s]
+    for k in range(4 * n * n, 4 * n * n + n * (n - 1) // 2):
+        d_skew = d_theta[k]
+        for s in range(b):
+            d_skew[s] = 0
+    for i in range(n):
+        for s in range(b):
+            d_x[i, s] += lam[i, s]
+
+
+@part
+def _free(
+    theta: Any, x: Any, gamma: float, epsilon: float, factors: Any, z: Any, q: Any, x_next: Any,  # noqa: ARG001
+) -> None:  # fmt: skip
+    """x_next = A x with A the first n rows and columns of W."""
+    n, b = x.shape
+    for i in range(n):
+        for s in range(b):
+            x_next[i, s] = 0
+        for j in range(n):
+            row = theta[i * 2 * n + j]
+            for s in range(b):
+                x_next[i, s] += row[s] * x[j, s]
+
+
+@part
+def _free_adjoint(
+    theta: Any, x: Any, Ax: Any, gamma: float, epsilon: float, factors: Any, z: Any, q: Any, mu: Any,  # noqa: ARG001
+    d_theta: Any, d_x: Any, work: Any,  # noqa: ARG001
+) -> None:  # fmt: skip
+    """∂J/∂A = μ xᵀ, ∂J/∂x = Aᵀ μ + …"""
+    n, b = x.shape
+    for k in range(4 * n * n + n * (n - 1) // 2):
+        row = d_theta[k]
+        for s in range(b):
+            row[s] = 0
+    for i in range(n):
+        for j in range(n):
+            row, d_row = theta[i * 2 * n + j], d_theta[i * 2 * n + j]
+            for s in range(b):
+                d_row[s] = mu[i, s] * x[j, s]
+                d_x[j, s] += row[s] * mu[i, s]
+
+
+# How A follows from W and V is chosen by the *type* of `kind`, at compile time: nobody waits for the compilation
+# of a parametrisation that he does not use.
+KINDS: dict[str, Any] = {"schur": np.int8(0), "contraction": np.int16(0), "none": np.int32(0)}
+
+
+def _state_product(*_: Any) -> None:
+    """x_next = A(ρ) x, for compiled code only."""
+
+
+def _state_product_adjoint(*_: Any) -> None:
+    """The adjoint of `_state_product`, for compiled code only."""
+
+
+@overload(_state_product)
+def _choose_product(kind: Any, *args: Any) -> Any:
+    del args
+    chosen = {types.int8: _schur, types.int16: _contraction, types.int32: _free}[kind]
+
+    def product(kind: Any, *args: Any) -> None:  # noqa: ARG001
+        chosen(*args)
+
+    return product
+
+
+@overload(_state_product_adjoint)
+def _choose_adjoint(kind: Any, *args: Any) -> Any:
+    del args
+    chosen = {types.int8: _schur_adjoint, types.int16: _contraction_adjoint, types.int32: _free_adjoint}[kind]
+
+    def adjoint(kind: Any, *args: Any) -> None:  # noqa: ARG001
+        chosen(*args)
+
+    return adjoint
+
+
+@part
+def _step(
+    kind: Any, theta: Any, x: Any, u: Any, gamma: float, epsilon: float, factors: Any, z: Any, q: Any, x_next: Any,
+    y: Any,
+) -> None:  # fmt: skip
+    """One sample: x_next, y, and what the adjoint needs (factors, z, q), batch innermost."""
+    n, b = x.shape
+    r, m = u.shape[0], y.shape[0]
+    B = 4 * n * n + n * (n - 1) // 2
+    C = B + n * r
+    _state_product(kind, theta, x, gamma, epsilon, factors, z, q, x_next)
+    for j in range(n):
+        for c in range(r):
+            row = theta[B + j * r + c]
+            for s in range(b):
+                x_next[j, s] += row[s] * u[c, s]
+    for o in range(m):
+        for s in range(b):
+            y[o, s] = 0
+        for j in range(n):
+            row = theta[C + o * n + j]
+            for s in range(b):
+                y[o, s] += row[s] * x[j, s]
+
+
+@part
+def _step_adjoint(
+    kind: Any, theta: Any, x: Any, u: Any, Ax: Any, gamma: float, epsilon: float, factors: Any, z: Any, q: Any,
+    mu: Any, d_y: Any, d_theta: Any, d_x: Any, work: Any,
+) -> None:  # fmt: skip
+    """∂J/∂θ and ∂J/∂x of one sample from μ = ∂J/∂x(k+1) and ∂J/∂y. `d_x` is added to, `Ax` is overwritten.
+
+    Ax (n, b) is x(k+1) at the start.
+    """
+    n, b = x.shape
+    r, m = u.shape[0], d_y.shape[0]
+    B = 4 * n * n + n * (n - 1) // 2
+    C = B + n * r
+    for i in range(n):
+        for c in range(r):
+            row, d_b = theta[B + i * r + c], d_theta[B + i * r + c]
+            for s in range(b):
+                Ax[i, s] -= row[s] * u[c, s]
+                d_b[s] = mu[i, s] * u[c, s]
+    _state_product_adjoint(kind, theta, x, Ax, gamma, epsilon, factors, z, q, mu, d_theta, d_x, work)
     for o in range(m):
         for j in range(n):
             d_c, row = d_theta[C + o * n + j], theta[C + o * n + j]
@@ -610,7 +880,7 @@ def _take(space: Any, used: int, count: int) -> Any:
 
 @entry
 def free_run(
-    weights: Any, widths: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
+    weights: Any, widths: Any, kind: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
     x0: Any, u: Any, y0: Any, y: Any, x: Any,
 ) -> None:  # fmt: skip
     """Free simulation of one record in normalised units.
@@ -618,6 +888,7 @@ def free_run(
     Args:
         weights: of the generator, flat; what follows them is not read.
         widths: of the generator: scheduling size, hidden layers, number of entries of W, V, B, C.
+        kind: one of `KINDS`: how A follows from W and V.
         with_u: whether u schedules.
         with_y: whether the previous output schedules.
         gamma: bound on the spectral radius.
@@ -650,7 +921,7 @@ def free_run(
     for i in range(m):
         previous[i, 0] = y0[i]
     theta = np.empty((P, 1), dtype)
-    LU, z, q = np.empty((n * n, 1), dtype), np.empty((n, 1), dtype), np.empty((2 * n, 1), dtype)
+    LU, z, q = np.empty((2 * n * n, 1), dtype), np.empty((n, 1), dtype), np.empty((2 * n, 1), dtype)
     for k in range(K):
         for c in range(r):
             u_now[c, 0] = u[k, c]
@@ -671,7 +942,7 @@ def free_run(
             theta[i, 0] = source[i]
         for i in range(n):
             x[k, i] = state[i, 0]
-        _step(theta, state, u_now, gamma, epsilon, LU, z, q, following, output)
+        _step(kind, theta, state, u_now, gamma, epsilon, LU, z, q, following, output)
         for i in range(n):
             state[i, 0] = following[i, 0]
         for i in range(m):
@@ -681,7 +952,7 @@ def free_run(
 
 @entry
 def loss_and_gradient(
-    weights: Any, widths: Any, E: Any, e: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
+    weights: Any, widths: Any, kind: Any, E: Any, e: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
     consistency: float, u: Any, y: Any, gradient: Any, d_E: Any, d_e: Any, space: Any,
 ) -> float:  # fmt: skip
     """J = mean (y − ŷ)² + λ mean (x(k) − E y(k) − e)² of a batch of windows, and its gradient.
@@ -691,6 +962,7 @@ def loss_and_gradient(
     Args:
         weights: of the generator, flat; what follows them is not read.
         widths: of the generator; see `free_run`.
+        kind: one of `KINDS`: how A follows from W and V.
         E: of the encoder (n, m).
         e: of the encoder (n,).
         with_u: whether u schedules.
@@ -749,8 +1021,8 @@ def loss_and_gradient(
     x = flat.reshape(L + 1, n, b)
     flat, used = _take(space, used, L * m * b)
     y_sim = flat.reshape(L, m, b)
-    flat, used = _take(space, used, L * n * n * b)
-    LU = flat.reshape(L, n * n, b)
+    flat, used = _take(space, used, L * 2 * n * n * b)
+    LU = flat.reshape(L, 2 * n * n, b)
     flat, used = _take(space, used, L * n * b)
     z = flat.reshape(L, n, b)
     flat, used = _take(space, used, L * 2 * n * b)
@@ -778,7 +1050,7 @@ def loss_and_gradient(
             if layer < depth:
                 _sigmoid(target)
         _transpose(out, long[depth + 1], theta[k])
-        _step(theta[k], x[k], u[k], gamma, epsilon, LU[k], z[k], q[k], x[k + 1], y_sim[k])
+        _step(kind, theta[k], x[k], u[k], gamma, epsilon, LU[k], z[k], q[k], x[k + 1], y_sim[k])
 
     # backwards
     _clear(collected)
@@ -792,7 +1064,7 @@ def loss_and_gradient(
     response, drift = 0.0, 0.0
     mu, d_x = np.zeros((n, b), dtype), np.empty((n, b), dtype)
     d_y, d_previous = np.empty((m, b), dtype), np.zeros((m, b), dtype)
-    work = np.empty((n + 3, b), dtype)
+    work = np.empty((2 * n * (n + 1) + 3, b), dtype)
     filled = 0  # samples in `deltas`, the latest first from the back
     for k in range(L - 1, -1, -1):
         for o in range(m):
@@ -828,7 +1100,9 @@ def loss_and_gradient(
                 for s in range(b):
                     total += d_row[s] * y_row[s]
                 d_E[i, o] -= total
-        _step_adjoint(theta[k], x[k], u[k], gamma, LU[k], z[k], q[k], mu, d_y, d_theta, d_x, work)
+        _step_adjoint(
+            kind, theta[k], x[k], u[k], x[k + 1], gamma, epsilon, LU[k], z[k], q[k], mu, d_y, d_theta, d_x, work
+        )
 
         # through the generator; the earliest sample of a block stands first
         filled += 1
@@ -875,7 +1149,7 @@ def loss_and_gradient(
 
 @entry
 def sensitivities(
-    weights: Any, widths: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
+    weights: Any, widths: Any, kind: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
     x0: Any, S0: Any, u: Any, y0: Any, y: Any, x_all: Any, J: Any,
 ) -> None:  # fmt: skip
     """Simulated outputs of a record and their derivatives by all weights.
@@ -889,6 +1163,7 @@ def sensitivities(
     Args:
         weights: as one vector, the generator's first.
         widths: of the generator; see `free_run`.
+        kind: one of `KINDS`: how A follows from W and V.
         with_u: whether u schedules.
         with_y: whether the previous output schedules.
         gamma: bound on the spectral radius.
@@ -928,11 +1203,11 @@ def sensitivities(
     delta, d_in = _aligned(s * longest, dtype), _aligned(s * longest, dtype)
     _clear(delta)
     theta, d_theta = np.empty((P, s), dtype), np.empty((P, s), dtype)
-    LU, z, q = np.empty((n * n, s), dtype), np.empty((n, s), dtype), np.empty((2 * n, s), dtype)
+    LU, z, q = np.empty((2 * n * n, s), dtype), np.empty((n, s), dtype), np.empty((2 * n, s), dtype)
     x, x_next, u_now = np.empty((n, s), dtype), np.empty((n, s), dtype), np.empty((r, s), dtype)
     previous, output = np.empty((m, s), dtype), np.empty((m, s), dtype)
-    d_x, work = np.empty((n, s), dtype), np.empty((n + 3, s), dtype)
-    mu, d_y = np.zeros((n, s), dtype), np.zeros((m, s), dtype)
+    d_x, work = np.empty((n, s), dtype), np.empty((2 * n * (n + 1) + 3, s), dtype)
+    mu, d_y, Ax = np.zeros((n, s), dtype), np.zeros((m, s), dtype), np.empty((n, s), dtype)
     for i in range(n):
         mu[i, i] = 1
     for o in range(m):
@@ -963,11 +1238,12 @@ def sensitivities(
             if layer < layers - 1:
                 _sigmoid(target[: s * after])
         _transpose(out, long[layers], theta)
-        _step(theta, x, u_now, gamma, epsilon, LU, z, q, x_next, output)
+        _step(kind, theta, x, u_now, gamma, epsilon, LU, z, q, x_next, output)
         for i in range(n):
             for c in range(s):
                 d_x[i, c] = 0
-        _step_adjoint(theta, x, u_now, gamma, LU, z, q, mu, d_y, d_theta, d_x, work)
+                Ax[i, c] = x_next[i, c]
+        _step_adjoint(kind, theta, x, u_now, Ax, gamma, epsilon, LU, z, q, mu, d_y, d_theta, d_x, work)
 
         # the derivatives at fixed x(k) and y(k−1), a row for each of x(k+1) and y(k)
         _clear(now)
@@ -1047,5 +1323,5 @@ def workspace_size(widths: Sequence[int], n: int, m: int, L: int, b: int, itemsi
     long = [width + rounding for width in widths]
     layers = sum(after * before for before, after in pairwise(long))
     P = widths[-1]
-    kept = b * L * (sum(long) + P + m + n * n + 4 * n) + b * (sum(long[1:]) * span + 2 * long[-1] + long[0] + n)
+    kept = b * L * (sum(long) + P + m + 2 * n * n + 4 * n) + b * (sum(long[1:]) * span + 2 * long[-1] + long[0] + n)
     return kept + 3 * layers + 2 * sum(long) + max(long) + 2 * rounding

@@ -1,4 +1,4 @@
-"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point.
+"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or contracts.
 
     x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k),   x(0) = g(y(0))
 
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation
 from nnss_cli.model.architecture import Architecture
-from nnss_cli.model.schur import schur_terms
+from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, write_model
 
 
@@ -85,6 +85,15 @@ class NNSS(nn.Module):
             C.reshape(-1, m, n),
         )
 
+    def state_matrix(self, W: Tensor, V: Tensor) -> Tensor:
+        """A (b, n, n) from the generator's W (b, 2n, 2n) and V (b, n, n)."""
+        a = self.architecture
+        if a.stability == "schur":
+            return schur_matrix(W, V, a.gamma, a.epsilon)
+        if a.stability == "contraction":
+            return contraction_matrix(W, a.gamma, a.epsilon)
+        return W[:, : a.order, : a.order]
+
     def rho(self, x: Tensor, u: Tensor, y_previous: Tensor) -> Tensor:
         """The scheduling vector: x, and u or the previous output where they are asked for."""
         parts = self.architecture.scheduling.split("+")
@@ -95,10 +104,14 @@ class NNSS(nn.Module):
 
         A x = S12 (M⁻¹ x), so A itself is not formed.
         """
+        a = self.architecture
         W, V, B, C = self.matrices(self.rho(x, u, y_previous))
-        S12, M = schur_terms(W, V, self.architecture.gamma, self.architecture.epsilon)
-        z = torch.linalg.solve(M, x.unsqueeze(-1))
-        x_next = (S12 @ z + B @ u.unsqueeze(-1)).squeeze(-1)
+        if a.stability == "schur":
+            S12, M = schur_terms(W, V, a.gamma, a.epsilon)
+            Ax = S12 @ torch.linalg.solve(M, x.unsqueeze(-1))
+        else:
+            Ax = self.state_matrix(W, V) @ x.unsqueeze(-1)
+        x_next = (Ax + B @ u.unsqueeze(-1)).squeeze(-1)
         y = (C @ x.unsqueeze(-1)).squeeze(-1)
         return x_next, y
 

@@ -1,4 +1,4 @@
-"""The Schur parametrisation in torch, batched; `baselines.schur` has the formula and its source."""
+"""The Schur and the contraction parametrisation in torch, batched; `baselines.schur` has the formulas and sources."""
 
 from __future__ import annotations
 
@@ -27,3 +27,14 @@ def schur_matrix(W: Tensor, V: Tensor, gamma: float = 1.0, epsilon: float = EPSI
     """A = S12 M⁻¹ (…, n, n), ρ(A) < γ for every W and V."""
     S12, M = schur_terms(W, V, gamma, epsilon)
     return torch.linalg.solve(M, S12, left=False)
+
+
+def contraction_matrix(W: Tensor, gamma: float = 1.0, epsilon: float = EPSILON) -> Tensor:
+    """A = γ L1⁻¹ S12 L2⁻ᵀ (…, n, n), ‖A‖₂ < γ for every W (…, 2n, 2n)."""
+    n = W.shape[-1] // 2
+    gram = W.mT @ W
+    scale = epsilon * (1 + gram.diagonal(dim1=-2, dim2=-1).sum(-1) / (2 * n))
+    S = gram + scale[..., None, None] * torch.eye(2 * n, dtype=W.dtype, device=W.device)
+    L1, L2 = torch.linalg.cholesky(S[..., :n, :n]), torch.linalg.cholesky(S[..., n:, n:])
+    left = torch.linalg.solve_triangular(L1, S[..., :n, n:], upper=False)
+    return gamma * torch.linalg.solve_triangular(L2.mT, left, upper=True, left=False)

@@ -49,23 +49,26 @@ class Weights:
         first = np.array(y0, dtype)
         E, e = encoder_map(self.encoder(self.vector), a.outputs)[-1]
         kernels.free_run(
-            self.vector, self.widths, "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
+            self.vector, self.widths, kernels.KINDS[a.stability],
+            "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
             E @ first + e, np.array(u, dtype, order="C"), first, y, x,
         )  # fmt: skip
         return y, x
 
 
 @functools.cache
-def warm_up(dtype: str) -> None:
+def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) -> None:
     """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size."""
     from nnss_cli.datasets.record import Channels, Scaling
 
-    architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype)
+    architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
     model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
     engine = FastEngine(model, np.ones((2, 3, 1)), np.ones((2, 3, 1)), Recipe(dtype=dtype))
     engine.train_batch(np.arange(2), 1)
     engine.free_run(np.ones((2, 1)), np.ones(1))
+    if second_order:
+        engine.sensitivities(np.ones((2, 1)))
 
 
 class FastEngine:
@@ -109,7 +112,8 @@ class FastEngine:
             self.space = np.empty(needed, self.gradient.dtype)
         maps = encoder_map(self.layers, a.outputs)
         loss = kernels.loss_and_gradient(
-            weights.vector, weights.widths, *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
+            weights.vector, weights.widths, kernels.KINDS[a.stability],
+            *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
             self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
         )  # fmt: skip
         through = encoder_gradient(self.layers, maps, *self.d_encoder)
@@ -133,7 +137,8 @@ class FastEngine:
                 u, y = u[1:], y[1:]
             own = np.empty((K, m, p + n), dtype)
             kernels.sensitivities(
-                weights.vector, weights.widths, "u" in a.scheduling, with_y, a.gamma, a.epsilon,
+                weights.vector, weights.widths, kernels.KINDS[a.stability],
+            "u" in a.scheduling, with_y, a.gamma, a.epsilon,
                 x0[window].astype(dtype), S0, u, first, errors[window], x[window], own,
             )  # fmt: skip
             errors[window] -= y

@@ -25,8 +25,10 @@ class Recipe:
     """Widths of the encoder's linear layers before its output."""
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y."""
+    stability: str = "schur"
+    """schur (A(ρ) Schur), contraction (a common Lyapunov function) or none."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ)."""
+    """Bound on the spectral radius of A(ρ), or on its norm (contraction)."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
@@ -81,7 +83,7 @@ class Recipe:
         """
         return Architecture(
             order, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
-            self.scheduling, self.gamma, self.epsilon, self.dtype,
+            self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
         )  # fmt: skip
 
     def replace(self, **changes: Any) -> Recipe:

@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 import torch
 
-from nnss_cli.baselines.schur import schur_inverse
+from nnss_cli.baselines.schur import contracting_basis, contraction_inverse, schur_inverse
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
@@ -61,7 +61,15 @@ def warm_start(model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...]) 
     """
     a = model.architecture
     start, E = linear_start(train, val, a.order, a.gamma)
-    W, V = schur_inverse(start.A, a.gamma, a.epsilon)
+    W, V = np.zeros((2 * a.order, 2 * a.order)), np.zeros((a.order, a.order))
+    if a.stability == "schur":
+        W, V = schur_inverse(start.A, a.gamma, a.epsilon)
+    elif a.stability == "contraction":
+        T = contracting_basis(start.A, a.gamma)
+        start, E = start.transform(T), T @ E
+        W = contraction_inverse(start.A, a.gamma, a.epsilon)
+    else:
+        W[: a.order, : a.order] = start.A
     with torch.no_grad():
         output = cast(torch.nn.Linear, model.generator[-1])
         output.weight.zero_()

@@ -11,7 +11,7 @@ from nnss_cli.datasets.record import Channels, Scaling
 from numba import njit
 
 from nnss_cli.model import kernels
-from nnss_cli.model.architecture import SCHEDULING, Architecture
+from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
@@ -67,31 +67,39 @@ def worst_difference(model: NNSS, u: np.ndarray, y: np.ndarray, consistency: flo
     return abs(loss - reference.item()) / reference.item(), worst
 
 
+@pytest.mark.parametrize("stability", STABILITIES)
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 @pytest.mark.parametrize(("n", "r", "m", "hidden", "encoder", "batch", "L"), CASES)
 def test_gradients_agree_in_float64(
-    n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int, scheduling: str
+    n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int, scheduling: str, stability: str
 ) -> None:
     if scheduling != "x" and L == 2 and "y" in scheduling:
         pytest.skip("one sample is left of such a window")
     for gamma, saturation in ((1.0, 0.0), (0.8, 0.0), (1.0, 30.0)):
-        a = Architecture(n, r, m, hidden, encoder, scheduling, gamma, dtype="float64")
+        if stability == "none" and L > 100:
+            L = 20  # such a model leaves the range of numbers that can be compared
+        a = Architecture(n, r, m, hidden, encoder, scheduling, gamma, dtype="float64", stability=stability)
         loss, gradient = worst_difference(make(a, saturation), *windows(a, batch, L), consistency=0.3)
         assert loss < 1e-12, (gamma, saturation)
         assert gradient < 1e-12, (gamma, saturation)
 
 
+@pytest.mark.parametrize("stability", ["schur", "contraction"])
 @pytest.mark.parametrize(("n", "r", "m", "hidden", "encoder", "batch", "L"), CASES[:4])
-def test_gradients_agree_in_float32(n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int) -> None:
-    a = Architecture(n, r, m, hidden, encoder, dtype="float32")
+def test_gradients_agree_in_float32(
+    n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int, stability: str
+) -> None:
+    a = Architecture(n, r, m, hidden, encoder, dtype="float32", stability=stability)
     loss, gradient = worst_difference(make(a), *windows(a, batch, L), consistency=0.01)
     assert loss < 1e-4
     assert gradient < 1e-4
 
 
-@pytest.mark.parametrize("scheduling", SCHEDULING)
-def test_a_hundred_steps_agree(scheduling: str) -> None:
-    a = Architecture(3, 2, 1, (8, 8), (4,), scheduling, dtype="float64")
+@pytest.mark.parametrize(
+    ("scheduling", "stability"), [*((each, "schur") for each in SCHEDULING), ("x", "contraction"), ("x", "none")]
+)
+def test_a_hundred_steps_agree(scheduling: str, stability: str) -> None:
+    a = Architecture(3, 2, 1, (8, 8), (4,), scheduling, dtype="float64", stability=stability)
     recipe = Recipe(consistency=0.01, learning_rate=1e-3)
     u, y = windows(a, 12, 15)
     plain, fast = ReferenceEngine(make(a), u, y, recipe), FastEngine(make(a), u, y, recipe)
@@ -104,9 +112,12 @@ def test_a_hundred_steps_agree(scheduling: str) -> None:
 
 
 @pytest.mark.parametrize("scheduling", SCHEDULING)
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_free_runs_agree(scheduling: str, dtype: str) -> None:
-    a = Architecture(4, 2, 3, (20, 10), (5, 5), scheduling, 0.95, dtype=dtype)
+@pytest.mark.parametrize(
+    ("dtype", "stability"),
+    [("float32", "schur"), ("float64", "schur"), ("float32", "contraction"), ("float64", "none")],
+)
+def test_free_runs_agree(scheduling: str, dtype: str, stability: str) -> None:
+    a = Architecture(4, 2, 3, (20, 10), (5, 5), scheduling, 0.95, dtype=dtype, stability=stability)
     model = make(a)
     random = np.random.default_rng(2)
     u, y0 = random.standard_normal((200, 2)), random.standard_normal(3)
