@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
+from nnss_cli.datasets.record import SPLITS, Channels, Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.files import write_text
@@ -91,6 +94,41 @@ def stores(out: Path) -> list[Store]:
         for folder in sorted(out.glob("*/*/runs"))
         if folder.is_dir()
     ]
+
+
+def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
+    """The records of a run by split, as kept with it.
+
+    Raises:
+        InputError: the run keeps none, or they are damaged.
+    """
+    signals = read_tensors(folder / "signals.safetensors")
+    found: dict[str, tuple[Record, ...]] = {}
+    for split in SPLITS:
+        count = sum(name.startswith(f"{split}/") and name.endswith("/y") for name in signals)
+        found[split] = tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
+    return found
+
+
+def records_from_csv(path: Path, channels: Channels, Ts: float) -> tuple[Record, ...]:
+    """A record from a CSV file with a named column for each input and output; other columns are ignored.
+
+    Raises:
+        InputError: it cannot be read, a column is missing, or a value is not a finite number.
+    """
+    try:
+        table = pd.read_csv(path)
+        missing = [name for name in (*channels.inputs, *channels.outputs) if name not in table.columns]
+        if missing:
+            raise InputError(
+                f"'{path}': expected columns {', '.join((*channels.inputs, *channels.outputs))}, found "
+                f"{', '.join(map(str, table.columns))}; {', '.join(missing)} missing"
+            )
+        return (Record(table[list(channels.inputs)].to_numpy(), table[list(channels.outputs)].to_numpy(), Ts),)
+    except InputError:
+        raise
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"'{path}' cannot be read as a CSV of numbers: {error}") from error
 
 
 def _value(settings: dict[str, Any], name: str) -> Any:

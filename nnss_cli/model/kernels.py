@@ -883,7 +883,7 @@ def free_run(
     weights: Any, widths: Any, kind: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
     x0: Any, u: Any, y0: Any, y: Any, x: Any,
 ) -> None:  # fmt: skip
-    """Free simulation of one record in normalised units.
+    """Free simulations of b records side by side, in normalised units.
 
     Args:
         weights: of the generator, flat; what follows them is not read.
@@ -893,13 +893,14 @@ def free_run(
         with_y: whether the previous output schedules.
         gamma: bound on the spectral radius.
         epsilon: of the Schur parametrisation.
-        x0: initial state (n,).
-        u: inputs (K, r).
-        y0: output before the first sample (m,), for scheduling on it.
-        y: simulated outputs (K, m), written.
-        x: states (K, n), written.
+        x0: initial states (n, b).
+        u: inputs (K, r, b).
+        y0: outputs before the first sample (m, b), for scheduling on them.
+        y: simulated outputs (K, m, b), written.
+        x: states (K, n, b), written.
     """
-    K, m, n, r = len(u), len(y0), len(x0), u.shape[1]
+    K, m = len(u), len(y0)
+    n, b = x0.shape
     dtype, lanes = weights.dtype, VECTOR // weights.itemsize
     layers = len(widths) - 1
     long = np.empty(layers + 1, np.int64)
@@ -913,41 +914,33 @@ def free_run(
             count += widths[layer - 1] * long[layer]
     forward, biases = _aligned(count, dtype), _aligned(total - long[0], dtype)
     _lay_out(weights, widths, n, forward, biases, forward[:0])
-    one, two = _aligned(widest, dtype), _aligned(widest, dtype)
-    state, following = np.empty((n, 1), dtype), np.empty((n, 1), dtype)
-    for i in range(n):
-        state[i, 0] = x0[i]
-    previous, output, u_now = np.empty((m, 1), dtype), np.empty((m, 1), dtype), np.empty((r, 1), dtype)
-    for i in range(m):
-        previous[i, 0] = y0[i]
-    theta = np.empty((P, 1), dtype)
-    LU, z, q = np.empty((2 * n * n, 1), dtype), np.empty((n, 1), dtype), np.empty((2 * n, 1), dtype)
+    one, two = _aligned(b * widest, dtype), _aligned(b * widest, dtype)
+    state, following = x0.copy(), np.empty((n, b), dtype)
+    previous, theta = y0.copy(), np.empty((P, b), dtype)
+    LU, z, q = np.empty((2 * n * n, b), dtype), np.empty((n, b), dtype), np.empty((2 * n, b), dtype)
     for k in range(K):
-        for c in range(r):
-            u_now[c, 0] = u[k, c]
         source, target = one, two
-        _set_rho(state, u_now, previous, with_u, with_y, source.reshape(1, source.size))
+        _set_rho(state, u[k], previous, with_u, with_y, source[: b * long[0]].reshape(b, long[0]))
         at, bias_at = 0, 0
         for layer in range(layers):
             after = long[layer + 1]
             _gemm(
-                source, 0, 1, forward[at:], after, biases[bias_at:], 0, target, 0, 1, after, widths[layer]
+                source, long[layer], 1, forward[at:], after, biases[bias_at:], 0, target, after, b, after, widths[layer]
             )  # fmt: skip
             at += widths[layer] * after
             bias_at += after
             if layer < layers - 1:
-                _sigmoid(target[:after])
+                _sigmoid(target[: b * after])
             source, target = target, source
-        for i in range(P):
-            theta[i, 0] = source[i]
+        _transpose(source, long[layers], theta)
+        _step(kind, theta, state, u[k], gamma, epsilon, LU, z, q, following, y[k])
         for i in range(n):
-            x[k, i] = state[i, 0]
-        _step(kind, theta, state, u_now, gamma, epsilon, LU, z, q, following, output)
-        for i in range(n):
-            state[i, 0] = following[i, 0]
+            for c in range(b):
+                x[k, i, c] = state[i, c]
+                state[i, c] = following[i, c]
         for i in range(m):
-            y[k, i] = output[i, 0]
-            previous[i, 0] = output[i, 0]
+            for c in range(b):
+                previous[i, c] = y[k, i, c]
 
 
 @entry

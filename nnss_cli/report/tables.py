@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import pandas as pd
 from tabulate import tabulate
@@ -11,6 +12,9 @@ from nnss_cli.datasets.record import SPLITS
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.tune import Trial
+
+if TYPE_CHECKING:  # it imports torch, which a report does without
+    from nnss_cli.experiment.certify import Certificate
 from nnss_cli.report.aggregate import MEAN, methods_of, scored_split, summary
 
 SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
@@ -106,6 +110,38 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
             "validation": number(row.val),
         }
         for row in rows
+    ]
+
+
+def certificate_rows(found: Certificate) -> list[dict[str, str]]:
+    """A certificate as text."""
+
+    def known(value: float | None) -> str:
+        return "–" if value is None else number(value, 6)
+
+    promise = {
+        "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
+    }.get(found.stability, "nothing")  # fmt: skip
+    rows = {
+        "promised": promise,
+        **{f"largest ρ(A), {split}": known(radius) for split, radius in found.radius.items()},
+        "largest ρ(A), box": known(found.box_radius),
+        "largest ‖A‖, box": known(found.box_norm),
+        "certified rate": known(found.gamma) if found.stability == "contraction" else "–",
+        "certified sup‖x‖": known(found.state_bound),
+        "sup‖B‖, sup‖C‖": f"{known(found.B_bound)}, {known(found.C_bound)}",
+        "sup‖u‖": known(found.input_bound),
+        "common Lyapunov matrix": found.lyapunov,
+        "its rate, sampled set": known(found.lyapunov_rate),
+    }
+    return [{"": name, "found": value} for name, value in rows.items()]
+
+
+def stress_rows(found: Certificate) -> list[dict[str, str]]:
+    """Stress runs as text."""
+    return [
+        {"input": run.input, "steps": str(run.steps), "max ‖x‖": number(run.state), "max |y|": number(run.output)}
+        for run in found.stress
     ]
 
 

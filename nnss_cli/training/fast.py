@@ -42,16 +42,26 @@ class Weights:
         arrays = [view for name, view in self.views(vector).items() if name.startswith("encoder")]
         return list(zip(arrays[::2], arrays[1::2], strict=True))
 
+    def encode(self, y0: FloatArray) -> FloatArray:
+        """Initial states (n, …) from first outputs (m, …)."""
+        E, e = encoder_map(self.encoder(self.vector), self.architecture.outputs)[-1]
+        return E @ y0 + e.reshape(-1, *[1] * (y0.ndim - 1))
+
     def free_run(self, u: FloatArray, y0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Simulated outputs (K, m) and states (K, n) in normalised units."""
+        first = np.array(y0, self.vector.dtype)[:, None]
+        y, x = self.free_runs(u[:, :, None], first, self.encode(first))
+        return y[:, :, 0], x[:, :, 0]
+
+    def free_runs(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Side by side: outputs (K, m, b) and states (K, n, b) from u (K, r, b), y0 (m, b) and x0 (n, b)."""
         a, dtype = self.architecture, self.vector.dtype
-        y, x = np.empty((len(u), a.outputs), dtype), np.empty((len(u), a.order), dtype)
-        first = np.array(y0, dtype)
-        E, e = encoder_map(self.encoder(self.vector), a.outputs)[-1]
+        K, _, b = u.shape
+        y, x = np.empty((K, a.outputs, b), dtype), np.empty((K, a.order, b), dtype)
+        u, y0, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0))
         kernels.free_run(
-            self.vector, self.widths, kernels.KINDS[a.stability],
-            "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
-            E @ first + e, np.array(u, dtype, order="C"), first, y, x,
+            self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
+            a.epsilon, x0, u, y0, y, x,
         )  # fmt: skip
         return y, x
 

@@ -61,13 +61,17 @@ def warm_start(model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...]) 
     """
     a = model.architecture
     start, E = linear_start(train, val, a.order, a.gamma)
-    W, V = np.zeros((2 * a.order, 2 * a.order)), np.zeros((a.order, a.order))
+    W: FloatArray = np.zeros((2 * a.order, 2 * a.order))
+    V: FloatArray = np.zeros((a.order, a.order))
     if a.stability == "schur":
         W, V = schur_inverse(start.A, a.gamma, a.epsilon)
     elif a.stability == "contraction":
         T = contracting_basis(start.A, a.gamma)
         start, E = start.transform(T), T @ E
-        W = contraction_inverse(start.A, a.gamma, a.epsilon)
+        # a slow pole leaves no room for ε: what is taken off is no more than INSIDE takes elsewhere
+        limit = a.gamma * (1 - 4 * a.epsilon)
+        A = start.A * min(1.0, limit / float(np.linalg.norm(start.A, 2)))
+        W = contraction_inverse(A, a.gamma, a.epsilon)
     else:
         W[: a.order, : a.order] = start.A
     with torch.no_grad():
