@@ -15,7 +15,7 @@ ARGS ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow lint format reproduce bench clean
+.PHONY: help install demo test test-slow lint format reproduce studies bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -56,11 +56,21 @@ format: install ## Let ruff mend what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-reproduce: install ## The three benchmarks at the paper's orders: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
-	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --out $(OUT) $(ARGS)
-	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --out $(OUT) $(ARGS)
-	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --out $(OUT) $(ARGS)
+METHODS := nnss nnss-ensemble nnss-paper simba n4sid ssest ssregest
+
+reproduce: install ## The paper's study and ours, ending in results/report.md: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
+	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
+	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
+	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
+	for dataset in twotank daisy-powerplant robotarm; do \
+	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
+	done
 	$(NNSS) report --out $(OUT)
+
+studies: install ## Ablations and the price of stability, to be followed by `make reproduce` for the report
+	for dataset in twotank daisy-powerplant robotarm; do for study in recipe stability; do \
+	  $(NNSS) ablate $$dataset --study $$study --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
+	done; done
 
 bench: install ## Engines and N4SID against other ways to do it, as ratios in one run; ARGS='--jax --torch-compile'
 	$(BIN)/python benchmarks/training.py $(ARGS)

@@ -11,7 +11,7 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import certify, compare, fetch, order, report, train, tune
+from nnss_cli.commands import ablate, certify, compare, fetch, order, report, train, tune
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.version import __version__
@@ -29,6 +29,7 @@ for _name, _module, _example in (
     ("train", train, "nnss train twotank --order 3 --seed 0"),
     ("compare", compare, "nnss compare twotank --orders 2 3 4 --seeds 10 --methods nnss n4sid"),
     ("tune", tune, "nnss tune twotank --order 3 --trials 50"),
+    ("ablate", ablate, "nnss ablate twotank --study stability --orders 3 --seeds 10"),
     ("certify", certify, "nnss certify results/twotank/paper/runs/nnss-n3-s0"),
     ("order", order, "nnss order twotank --max-order 8"),
     ("report", report, "nnss report --out results"),

@@ -99,6 +99,7 @@ FIT_OPTIONS: dict[str, Any] = {
     "warm": _fit_option(
         bool | None, _TRAINING, "--warm/--cold", None, "Start as SSEST's linear model, or from random weights."
     ),
+    "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),
     "horizon": _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched."),
     "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
@@ -29,7 +30,7 @@ from nnss_cli.report.evidence import (
     released_comparison,
 )
 from nnss_cli.report.statistics import critical_difference, mean_ranks
-from nnss_cli.report.tables import SPLIT_NAMES, failures, rmse_markdown
+from nnss_cli.report.tables import SPLIT_NAMES, failures, markdown, rmse_markdown, study_rows
 
 HOUR = 3600.0
 
@@ -115,6 +116,20 @@ def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str
     ]
 
 
+def write_study(store: Store, study: str, variants: Sequence[Variant]) -> Path:
+    """Write study-<name>.md with a row per order and variant."""
+    path = store.folder / f"study-{study}.md"
+    runs = [result for variant in variants for result in variant.results]
+    seeds = len({result.spec.seed for result in runs})
+    text = (
+        f"# NN-SS on {store.dataset}, protocol `{store.protocol}`: {study}\n\nRMSE, mean over outputs, median over "
+        f"{seeds} seed{'s' * (seeds > 1)} with its 95 % bootstrap interval. One switch at a time; runs under "
+        f"`{store.out.name}/ablation/{study}/`.\n\n"
+    )
+    write_text(path, text + markdown(study_rows(variants, intervals=True)) + "\n")
+    return path
+
+
 def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str) -> list[Path]:
     """Write order.csv and order.png of an order selection."""
     table = pd.DataFrame([vars(row) | {"suggested": row.order == chosen} for row in rows])
@@ -158,6 +173,9 @@ def _section(store: Store, files: Sequence[Path], out: Path) -> str:
     ):
         if body:
             parts.append(f"### {title}\n\n{body}")
+    for study in sorted(store.folder.glob("study-*.md")):
+        title, body = study.read_text(encoding="utf-8").split("\n", 1)
+        parts.append(f"### Study: {title.rpartition(': ')[2]}\n{body}".rstrip())
     parts.append("### Figures")
     parts += [
         f"![{path.stem} of {store.dataset}, protocol {store.protocol}]({path.relative_to(out).as_posix()})"

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.record import SPLITS
+from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.tune import Trial
+from nnss_cli.report.aggregate import MEAN, methods_of, scored_split, summary
+from nnss_cli.report.statistics import median_interval
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
     from nnss_cli.experiment.certify import Certificate
-from nnss_cli.report.aggregate import MEAN, methods_of, scored_split, summary
 
 SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
@@ -143,6 +146,26 @@ def stress_rows(found: Certificate) -> list[dict[str, str]]:
         {"input": run.input, "steps": str(run.steps), "max ‖x‖": number(run.state), "max |y|": number(run.output)}
         for run in found.stress
     ]
+
+
+def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dict[str, str]]:
+    """A study as text: medians by order and variant."""
+    rows = []
+    for order in sorted({r.spec.order for v in variants for r in v.results}):
+        for variant in variants:
+            own = [r for r in variant.results if r.spec.order == order]
+            ok = [r for r in own if r.status == "ok"]
+            row = {"order": str(order), "variant": variant.name, "runs": f"{len(ok)}/{len(own)}"}
+            for split in SPLITS:
+                errors = [sum(e) / len(e) for r in ok if (e := [s.rmse for s in r.scores if s.split == split])]
+                row[split] = number(float(np.median(errors))) if errors else "–"
+                if intervals and len(errors) > 1:
+                    low, high = median_interval(errors)
+                    row[split] += f" ({number(low, 3)}–{number(high, 3)})"
+            if any(v.unbounded is not None for v in variants):
+                row["unbounded under stress"] = str(sum(r.spec.order == order for r in variant.unbounded or ()))
+            rows.append(row)
+    return rows
 
 
 def trial_rows(trials: Sequence[Trial]) -> list[dict[str, str]]:

@@ -89,6 +89,7 @@ class ReferenceEngine:
         self.recipe = recipe
         self.u = torch.tensor(u, dtype=model.dtype)
         self.y = torch.tensor(y, dtype=model.dtype)
+        model.encoder.requires_grad_(not recipe.fixed_encoder)
         self.optimiser = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:

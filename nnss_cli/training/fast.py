@@ -128,7 +128,7 @@ class FastEngine:
         )  # fmt: skip
         through = encoder_gradient(self.layers, maps, *self.d_encoder)
         for (d_W, d_bias), (W, bias) in zip(through, self.layer_gradients, strict=True):
-            W[:], bias[:] = d_W, d_bias
+            W[:], bias[:] = (0, 0) if self.recipe.fixed_encoder else (d_W, d_bias)
         return float(loss)
 
     def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

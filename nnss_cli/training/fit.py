@@ -79,11 +79,11 @@ def train_nnss(
         _adam(engine, len(u), recipe, named_random(seed, "shuffling"), watch)
         if recipe.refine > 0 and not watch.diverged:
             watch.begin_again()
-            gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on)
+            gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on, recipe.fixed_encoder)
     elif recipe.optimiser == "lbfgs":
         _lbfgs(engine, recipe.epochs, watch)
     else:
-        gauss_newton(engine, y, recipe.epochs, watch.goes_on)
+        gauss_newton(engine, y, recipe.epochs, watch.goes_on, recipe.fixed_encoder)
     model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
     return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors)
 

@@ -27,7 +27,9 @@ LARGEST_DAMPING = 1e12  # no step helps any more
 ACCEPTED = 1e-4  # decrease found over the decrease foreseen, at least
 
 
-def gauss_newton(engine: Engine, y: FloatArray, iterations: int, goes_on: Callable[[float], bool]) -> None:
+def gauss_newton(
+    engine: Engine, y: FloatArray, iterations: int, goes_on: Callable[[float], bool], fixed_encoder: bool = False
+) -> None:
     """Train the weights in `engine`.
 
     Args:
@@ -35,6 +37,7 @@ def gauss_newton(engine: Engine, y: FloatArray, iterations: int, goes_on: Callab
         y: outputs of the windows (N, L, m), for the encoder.
         iterations: at most.
         goes_on: hears the mean square error of each accepted step; whether there is to be another.
+        fixed_encoder: leave the encoder as it is.
     """
     weights = engine.weights()
     vector = np.concatenate([array.ravel() for array in weights.values()]).astype(np.float64)
@@ -88,7 +91,9 @@ def gauss_newton(engine: Engine, y: FloatArray, iterations: int, goes_on: Callab
                 return
         damping = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), np.finfo(float).eps)
         point, e, J = candidate, errors, derivatives
-        set_encoder(layers, *regress_encoder(y[:, -x.shape[1] :].reshape(-1, y.shape[2]), x.reshape(-1, x.shape[2])))
+        if not fixed_encoder:
+            known = y[:, -x.shape[1] :]
+            set_encoder(layers, *regress_encoder(known.reshape(-1, y.shape[2]), x.reshape(-1, x.shape[2])))
         engine.place(vector)
         if not goes_on(lower / len(e)):
             return

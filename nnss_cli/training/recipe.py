@@ -55,6 +55,8 @@ class Recipe:
     """Gauss–Newton iterations from the best epoch of Adam, at most, and at most `epochs`."""
     warm: bool = False
     """Start as the linear model that SSEST finds, instead of from random weights."""
+    fixed_encoder: bool = False
+    """Leave the encoder as it starts."""
     engine: str = "fast"
     """fast (compiled) or reference (plain torch)."""
 

@@ -36,7 +36,7 @@ def test_values_after_one_option_are_repeated(args: str, expected: str) -> None:
 
 def test_version_and_help(nnss: Callable) -> None:
     assert nnss("--version").out.strip() == f"nnss {__version__}"
-    for command in ("fetch", "train", "compare", "tune", "order", "report"):
+    for command in ("fetch", "train", "compare", "tune", "ablate", "certify", "order", "report"):
         outcome = nnss(command, "--help")
         assert outcome.code == 0
         assert "Example: nnss " + command in " ".join(outcome.out.split())
@@ -57,6 +57,19 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     refused = nnss(*call[:-4], "--window", "50", "--trials", "2")
     assert refused.code == 2
     assert "instead of" in refused.err
+
+
+@pytest.mark.parametrize("study", ["recipe", "stability"])
+def test_studies(nnss: Callable, study: str) -> None:
+    call = ("ablate", "twotank-sim", "--study", study, "--orders", "2", "--seeds", "2", "--epochs", "2", "--jobs", "1")
+    outcome = nnss(*call)
+    assert outcome.code == 0, outcome.err
+    text = Path(f"results/twotank-sim/paper/study-{study}.md").read_text()
+    assert ("contraction" in text) == (study == "stability")
+    again = nnss(*call)
+    assert ": 0 runs to do" in again.out
+    assert Path(f"results/twotank-sim/paper/study-{study}.md").read_text() == text
+    assert nnss(*call[:3], "magic", *call[4:]).code == 2
 
 
 def test_python_dash_m() -> None:

@@ -1,0 +1,58 @@
+"""`nnss ablate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nnss_cli.commands import options as opt
+from nnss_cli.errors import InputError
+
+
+@opt.with_fit_options
+def command(
+    dataset: opt.DatasetName,
+    study: Annotated[
+        str, typer.Option("--study", metavar="recipe|stability", help="Which switches: the recipe's, or of stability.")
+    ] = "recipe",
+    orders: Annotated[
+        list[int] | None, typer.Option("--orders", metavar="N …", help="Model orders.", show_default="the paper's")
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")] = 10,
+    protocol: opt.ProtocolName = "paper",
+    out: opt.Out = Path("results"),
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", metavar="N", help="Processes; the numbers do not depend on it.", show_default="cores"),
+    ] = None,
+    mirror: opt.Mirror = None,
+    offline: opt.Offline = False,
+    changes: dict[str, Any] | None = None,
+) -> None:
+    """Change one switch of NN-SS at a time: λ, start, windows, encoder, scheduling; or what makes it stable."""
+    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.datasets.catalog import benchmark
+    from nnss_cli.experiment.ablation import ablate
+    from nnss_cli.experiment.store import Store
+    from nnss_cli.files import require_writable
+    from nnss_cli.report.build import write_study
+    from nnss_cli.report.tables import study_rows
+
+    if seeds < 1:
+        raise InputError(f"--seeds: expected at least 1, found {seeds}")
+    workers = opt.default_jobs() if jobs is None else jobs
+    if workers < 1:
+        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    data = ready_dataset(dataset, protocol, mirror, offline)
+    store = Store(out, dataset, data.protocol)
+    require_writable(store.folder)
+    found = ablate(
+        store, data, study, orders or benchmark(dataset).orders, range(seeds), changes or {}, workers,
+        lambda name, count: console.print(f"{name}: {count} runs to do", highlight=False),
+        lambda _: None, lambda _: None,
+    )  # fmt: skip
+    print_rows(study_rows(found), f"{dataset}, protocol {protocol}: {study}, RMSE, median over seeds")
+    console.print(str(write_study(store, study, found)), soft_wrap=True, highlight=False)

@@ -1,0 +1,97 @@
+"""Studies of NN-SS itself: the same recipe with one switch changed at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from nnss_cli.datasets.record import Dataset
+from nnss_cli.errors import unknown
+from nnss_cli.experiment.run import RunResult
+from nnss_cli.experiment.store import Store, records_of
+from nnss_cli.experiment.sweep import Event, plan, sweep
+from nnss_cli.methods import METHODS, Settings, load_model
+
+STRESS = 20_000  # steps of a run's stress test
+
+# variant → what it changes
+STUDIES: dict[str, dict[str, Settings]] = {
+    "recipe": {
+        "the recipe as it is": {},
+        "λ = 0": {"consistency": 0.0},
+        "λ = 0.1": {"consistency": 0.1},
+        "cold start": {"warm": False},
+        "warm start": {"warm": True},
+        "windows of 40 samples": {"window": 40, "stride": 10},
+        "encoder fixed": {"fixed_encoder": True},
+        "scheduling x+u": {"scheduling": "x+u"},
+        "scheduling x+y": {"scheduling": "x+y"},
+    },
+    "stability": {
+        "schur": {"stability": "schur"},
+        "contraction": {"stability": "contraction"},
+        "none": {"stability": "none"},
+    },
+}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One switch of a study, with its runs."""
+
+    name: str
+    """What was changed."""
+    results: tuple[RunResult, ...]
+    """A run per seed."""
+    unbounded: tuple[RunResult, ...] | None
+    """Those whose state left the range of numbers under stress; None where that was not tried."""
+
+
+def variant_store(store: Store, study: str, name: str) -> Store:
+    """Where a variant's runs are kept: apart from those of the comparison, with which they must not mix."""
+    word = "".join(letter if letter.isalnum() else "-" for letter in name)
+    return replace(store, out=store.out / "ablation" / study / word)
+
+
+def ablate(
+    store: Store,
+    dataset: Dataset,
+    study: str,
+    orders: Sequence[int],
+    seeds: Sequence[int],
+    overrides: Settings,
+    jobs: int,
+    on_plan: Callable[[str, int], None],
+    on_event: Callable[[Event], None],
+    on_result: Callable[[RunResult], None],
+) -> list[Variant]:
+    """Run what is missing of a study, and return all of it.
+
+    Raises:
+        InputError: the study is unknown, or an order or option is out of range.
+    """
+    if study not in STUDIES:
+        raise unknown("study", study, STUDIES)
+    found = []
+    for name, change in STUDIES[study].items():
+        own = variant_store(store, study, name)
+        todo = plan(own, dataset, [METHODS["nnss"]], orders, seeds, overrides | change, force=False).todo
+        on_plan(name, len(todo))
+        sweep(todo, dataset, own, jobs, on_event, on_result)
+        wanted = set(seeds)
+        results = tuple(r for r in own.results() if r.spec.order in orders and r.spec.seed in wanted)
+        unbounded = tuple(r for r in results if _diverges(own, r)) if study == "stability" else None
+        found.append(Variant(name, results, unbounded))
+    return found
+
+
+def _diverges(store: Store, result: RunResult) -> bool:
+    """Whether the state leaves the range of numbers under the stress inputs."""
+    from nnss_cli.experiment.certify import certify
+
+    if result.status != "ok":
+        return True
+    folder = store.run_folder(result.spec)
+    model = load_model(folder)
+    found = certify(model, records_of(folder, model.Ts), steps=STRESS, search_lyapunov=False)
+    return any(run.steps < STRESS for run in found.stress)
