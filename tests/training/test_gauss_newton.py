@@ -117,3 +117,14 @@ def test_a_warm_start_is_never_worse_on_validation_than_it_began() -> None:
     begun, ended = (free_run_rmse(FastEngine(model, zero, zero, recipe), val) for model in (started, training.model))
     assert ended <= begun
     assert ended < 0.7 * begun  # the plant is not linear
+
+
+@pytest.mark.parametrize("engine", [FastEngine, ReferenceEngine])
+def test_a_fixed_encoder_stays(engine: type) -> None:
+    a = Architecture(2, 1, 1, (4,), (3,), dtype="float64")
+    u, y = signals(a, 4, 9)
+    started = engine(make(a), u, y, Recipe(fixed_encoder=True))
+    before = started.weights()
+    started.train_batch(np.arange(4), 1)
+    for name, array in started.weights().items():
+        assert (array == before[name]).all() == name.startswith("encoder")
