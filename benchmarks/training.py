@@ -56,10 +56,11 @@ SETTINGS = [
 ]
 
 
-def model_of(s: Setting, dtype: str) -> NNSS:
+def model_of(s: Setting, dtype: str, stability: str = "schur") -> NNSS:
     scaling = Scaling(np.zeros(s.r), np.ones(s.r), np.zeros(s.m), np.ones(s.m))
     channels = Channels(("u",) * s.r, ("y",) * s.m, ("",) * s.r, ("",) * s.m)
-    model = NNSS(Architecture(s.n, s.r, s.m, s.hidden, s.encoder, dtype=dtype), scaling, channels, 1.0)
+    architecture = Architecture(s.n, s.r, s.m, s.hidden, s.encoder, dtype=dtype, stability=stability)
+    model = NNSS(architecture, scaling, channels, 1.0)
     model.initialise(named_random(0, "weights"))
     return model
 
@@ -77,9 +78,10 @@ def milliseconds(step: Callable[[], object], seconds: float = 3.0) -> float:
 
 
 def gemm_rate(dtype: str) -> float:
-    """Floating-point operations per second of large matrix products."""
+    """Floating-point operations per second of large matrix products: NumPy's BLAS or torch's, the faster."""
     A = np.random.default_rng(0).standard_normal((768, 768)).astype(dtype)
-    return 2 * 768**3 / (milliseconds(lambda: A @ A, 1.0) * 1e-3)
+    T = torch.from_numpy(A)
+    return 2 * 768**3 / (min(milliseconds(lambda: A @ A, 1.0), milliseconds(lambda: T @ T, 1.0)) * 1e-3)
 
 
 def jax_step(s: Setting, dtype: str, u: FloatArray, y: FloatArray) -> Callable[[], object]:
@@ -149,6 +151,36 @@ def compiled_torch_step(s: Setting, dtype: str, u: FloatArray, y: FloatArray) ->
         optimiser.step()
 
     return step
+
+
+def other_table() -> None:
+    """What a contraction costs, and whole records: each as a ratio to the Schur step on windows."""
+    rows = []
+    for dtype in ("float32", "float64"):
+        for s in SETTINGS:
+            random = np.random.default_rng(1)
+
+            def step(
+                L: int, batch: int, stability: str = "schur", s: Setting = s, dtype: str = dtype,
+                random: np.random.Generator = random,
+            ) -> float:  # fmt: skip
+                u, y = random.standard_normal((batch, L, s.r)), random.standard_normal((batch, L, s.m))
+                engine = FastEngine(model_of(s, dtype, stability), u, y, Recipe(dtype=dtype))
+                everything = np.arange(batch)
+                return milliseconds(lambda: engine.train_batch(everything, 1), 1.5)
+
+            schur, contraction = step(s.L, s.batch), step(s.L, s.batch, "contraction")
+            window, record = step(s.L, 1) / s.L, step(2000, 1) / 2000
+            rows.append(
+                {
+                    "setting": s.name, "precision": dtype, "contraction / schur": f"{contraction / schur:.2f}",
+                    "window, batch 1 [µs/sample]": f"{1e3 * window:.1f}",
+                    "one record of 2000 [µs/sample]": f"{1e3 * record:.1f}",
+                    "record / window": f"{record / window:.2f}",
+                }
+            )  # fmt: skip
+    print("\nOther steps of the fast engine")
+    print(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True))
 
 
 def train_table(with_jax: bool, with_compile: bool) -> None:
@@ -240,6 +272,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     train_table(options.jax, options.torch_compile)
+    other_table()
     simba_table()
     print()
     compile_times()

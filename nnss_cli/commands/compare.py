@@ -74,7 +74,9 @@ def command(
             ) from None
     files = write_comparison(store)
     results = store.results()
-    print_rows(terminal_rows(results), f"{dataset}, protocol {protocol}: RMSE, median over seeds")
+    print_rows(
+        terminal_rows(results), f"{dataset}, protocol {protocol}: RMSE, median over seeds; best: chosen on validation"
+    )
     for line in [*(f"Note: {note}" for note in data.notes), *failures(results)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:

@@ -26,7 +26,7 @@ console = Console()
 
 def print_rows(rows: Sequence[dict[str, str]], title: str, text_columns: int = 2) -> None:
     """A table of text cells: the first `text_columns` to the left, numbers to the right."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for index, name in enumerate(rows[0]):
         table.add_column(
             name, justify="left" if index < text_columns else "right", no_wrap=index < text_columns, overflow="fold"

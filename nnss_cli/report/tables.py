@@ -86,8 +86,8 @@ def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
             for split in SPLITS:
                 row[split] = number(cells[split]["median"], 3) if split in cells else "–"
             shown = cells.get(shown_split)
-            row["q1–q3"] = f"{shown['q1']:.3g}–{shown['q3']:.3g}" if shown is not None and ok > 1 else "–"
-            row[f"{shown_split}, best by val."] = number(shown["best"], 3) if shown is not None else "–"
+            row["q1–q3"] = f"{number(shown['q1'], 2)}–{number(shown['q3'], 2)}" if shown is not None and ok > 1 else "–"
+            row["best"] = number(shown["best"], 3) if shown is not None else "–"
             rows.append(row)
     return rows
 
