@@ -273,7 +273,7 @@ class SIMBa:
 
 
 class Ensemble:
-    """The mean of the simulated outputs of those seeds of NN-SS that validate best together."""
+    """The mean of the simulated outputs of the seeds of NN-SS that validate better."""
 
     name = "nnss-ensemble"
     seeded = False
