@@ -106,7 +106,7 @@ def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str
     name = f"ranks-{protocol}.png"
     figures.save_figure(figure, out / name)
     figures.close_figure(figure)
-    standing = ahead(table)
+    standing = ahead(table, blocks(results, "val"))
     return [
         *parts,
         f"## All datasets, protocol `{protocol}`",

@@ -149,22 +149,25 @@ def intervals(results: Sequence[RunResult]) -> str:
     return markdown(rows) if rows else ""
 
 
-def blocks(results: Sequence[RunResult]) -> pd.DataFrame:
-    """Median error over seeds by dataset and order (rows) and method (columns), complete rows and columns only."""
+def blocks(results: Sequence[RunResult], split: str = "") -> pd.DataFrame:
+    """Median error over seeds by dataset and order (rows) and method (columns), complete rows and columns only.
+
+    On the split that figures show, or on `split`. Five digits: what differs less is a tie.
+    """
     parts = []
     for dataset in dict.fromkeys(r.spec.dataset for r in results):
         own = [r for r in results if r.spec.dataset == dataset]
         errors = seed_errors(own)
         if errors.empty:
             continue
-        errors = errors[errors["split"] == scored_split(own)]
+        errors = errors[errors["split"] == (split or scored_split(own))]
         medians = errors.pivot_table(index="order", columns="method", values="rmse", aggfunc="median")
         parts.append(medians.set_index(pd.MultiIndex.from_product([[dataset], medians.index])))
     if not parts:
         return pd.DataFrame()
     everything = pd.concat(parts)
     methods = [name for name in methods_of(results) if name in everything.columns]
-    return everything[methods].dropna()
+    return everything[methods].dropna().map(lambda value: float(f"{value:.5g}"))
 
 
 def ranking(table: pd.DataFrame) -> str:
@@ -189,20 +192,34 @@ def ranking(table: pd.DataFrame) -> str:
     )
 
 
-def ahead(table: pd.DataFrame, method: str = "nnss") -> str:
-    """Where a method has the lowest median and where not ("" where it is not among the columns)."""
+def ahead(table: pd.DataFrame, validation: pd.DataFrame, method: str = "nnss") -> str:
+    """Where a method has the lowest median, where not, and why ("" where it is not among the columns).
+
+    Args:
+        table: `blocks` on the split that figures show.
+        validation: `blocks` on validation, on which all choices are made.
+        method: whose standing is asked for.
+    """
     rivals = [name for name in table.columns if not name.startswith("nnss")]
     if method not in table.columns or not rivals:
         return ""
     lines = []
-    for (dataset, order), row in table.iterrows():
+    for at, row in table.iterrows():
+        dataset, order = at  # type: ignore[misc]
         rival = row[rivals].idxmin()
         change = 100 * (row[method] / row[rival] - 1)
-        word = "ahead" if change < 0 else "level" if change == 0 else "behind"
+        seen, other = validation.loc[at, method], validation.loc[at, rival]
+        why = ""
+        if change == 0:
+            why = "the same: validation refused every step away from the linear start"
+        elif change > 0:
+            why = f"validation says {number(seen)} against {number(other)}"
+            why += ", the other way round" if seen < other else ", behind there too"
         lines.append(
             {
                 "dataset": str(dataset), "order": str(order), method: number(row[method]),
-                "best other": f"{rival} {number(row[rival])}", "difference": f"{change:+.1f} %", "": word,
+                "best other": f"{rival} {number(row[rival])}", "difference": f"{change:+.1f} %",
+                "": "ahead" if change < 0 else "level" if change == 0 else "behind", "why": why,
             }
         )  # fmt: skip
     return markdown(lines)

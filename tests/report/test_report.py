@@ -107,7 +107,11 @@ def test_methods_are_ranked_over_datasets_and_orders() -> None:
     table = blocks([*runs, result("ssest", 0, 1.0, 1.0, status="failed")])
     assert table.shape == (3, 3)
     assert "nnss 1.33" in ranking(table)
-    assert [line.split("|")[-2].strip() for line in ahead(table).splitlines()[2:]] == ["behind", "ahead", "ahead"]
+    standing = [line.split("|") for line in ahead(table, blocks(runs, "val")).splitlines()[2:]]
+    assert [cells[-3].strip() for cells in standing] == ["behind", "ahead", "ahead"]
+    assert "behind there too" in standing[0][-2]
+    level = [result("nnss", 0, val=1.0, test=2.0 + 1e-9), result("n4sid", 0, val=1.0, test=2.0)]
+    assert "level" in ahead(blocks(level), blocks(level, "val"))
 
 
 def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> None:
