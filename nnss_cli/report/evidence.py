@@ -205,7 +205,7 @@ def ahead(table: pd.DataFrame, validation: pd.DataFrame, method: str = "nnss") -
         return ""
     lines = []
     for at, row in table.iterrows():
-        dataset, order = at  # type: ignore[misc]
+        dataset, order = at
         rival = row[rivals].idxmin()
         change = 100 * (row[method] / row[rival] - 1)
         seen, other = validation.loc[at, method], validation.loc[at, rival]
