@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 from nnss_cli.commands import options as opt
-from nnss_cli.errors import InputError
 
 
 @opt.with_fit_options
@@ -17,16 +16,11 @@ def command(
     study: Annotated[
         str, typer.Option("--study", metavar="recipe|stability", help="Which switches: the recipe's, or of stability.")
     ] = "recipe",
-    orders: Annotated[
-        list[int] | None, typer.Option("--orders", metavar="N …", help="Model orders.", show_default="the paper's")
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")] = 10,
+    orders: opt.Orders = None,
+    seeds: opt.Seeds = 10,
     protocol: opt.ProtocolName = "paper",
     out: opt.Out = Path("results"),
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", metavar="N", help="Processes; the numbers do not depend on it.", show_default="cores"),
-    ] = None,
+    jobs: opt.Jobs = None,
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     changes: dict[str, Any] | None = None,
@@ -41,11 +35,7 @@ def command(
     from nnss_cli.report.build import write_study
     from nnss_cli.report.tables import study_rows
 
-    if seeds < 1:
-        raise InputError(f"--seeds: expected at least 1, found {seeds}")
-    workers = opt.default_jobs() if jobs is None else jobs
-    if workers < 1:
-        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    workers = opt.check_counts(seeds, jobs)
     data = ready_dataset(dataset, protocol, mirror, offline)
     store = Store(out, dataset, data.protocol)
     require_writable(store.folder)

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from nnss_cli.commands import options as opt
-from nnss_cli.errors import InputError
 
 
 @opt.with_fit_options
 def command(
     dataset: opt.DatasetName,
-    orders: Annotated[
-        list[int] | None,
-        typer.Option("--orders", metavar="N …", help="Model orders, e.g. --orders 2 3 4.", show_default="the paper's"),
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")] = 10,
+    orders: opt.Orders = None,
+    seeds: opt.Seeds = 10,
     methods: opt.MethodNames = None,
     protocol: opt.ProtocolName = "paper",
     out: opt.Out = Path("results"),
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", metavar="N", help="Processes; the numbers do not depend on it.", show_default="cores"),
-    ] = None,
+    jobs: opt.Jobs = None,
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     force: opt.Force = False,
@@ -45,11 +36,7 @@ def command(
     from nnss_cli.report.build import write_comparison
     from nnss_cli.report.tables import failures, terminal_rows
 
-    if seeds < 1:
-        raise InputError(f"--seeds: expected at least 1, found {seeds}")
-    workers = opt.default_jobs() if jobs is None else jobs
-    if workers < 1:
-        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    workers = opt.check_counts(seeds, jobs)
     chosen = select(methods or [])
     entry = benchmark(dataset)
     data = ready_dataset(dataset, protocol, mirror, offline)

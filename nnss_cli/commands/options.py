@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from nnss_cli.errors import InputError
+
 
 def _dataset_names(incomplete: str) -> list[str]:
     """Shell completion of a dataset's name."""
@@ -45,6 +47,15 @@ ProtocolName = Annotated[
         metavar="paper|strict",
         help="Split and statistics: as in the paper, or without its overlaps.",
     ),
+]
+Orders = Annotated[
+    list[int] | None,
+    typer.Option("--orders", metavar="N …", help="Model orders, e.g. --orders 2 3 4.", show_default="the paper's"),
+]
+Seeds = Annotated[int, typer.Option("--seeds", metavar="N", help="Number of seeds: 0 to N−1.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", metavar="N", help="Processes; the numbers do not depend on it.", show_default="cores"),
 ]
 Mirror = Annotated[
     str | None,
@@ -136,6 +147,15 @@ def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
     return wrapper
 
 
-def default_jobs() -> int:
-    """One process per core."""
-    return os.cpu_count() or 1
+def check_counts(seeds: int, jobs: int | None) -> int:
+    """The number of processes: one per core unless the user says.
+
+    Raises:
+        InputError: there are no seeds or processes.
+    """
+    if seeds < 1:
+        raise InputError(f"--seeds: expected at least 1, found {seeds}")
+    workers = (os.cpu_count() or 1) if jobs is None else jobs
+    if workers < 1:
+        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    return workers
