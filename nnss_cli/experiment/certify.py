@@ -241,15 +241,11 @@ class _Neural:
     def run(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self.weights.free_runs(u, y0, x0)
 
-    def follow(self, u: FloatArray, y0: FloatArray, x0: FloatArray, y: FloatArray, x: FloatArray) -> Any:
-        """The state and output after the last sample of a run."""
-        with torch.no_grad():
-            at = [
-                torch.tensor(part.T.copy(), dtype=self.model.dtype)
-                for part in (x[-1], u[-1], y[-2] if len(y) > 1 else y0)
-            ]
-            following, output = self.model.step(*at)
-        return output.numpy().T, following.numpy().T
+    @torch.no_grad()
+    def next_state(self, x: FloatArray, u: FloatArray, y_previous: FloatArray) -> FloatArray:
+        """x(k+1) (n, b) from x(k) (n, b), u(k) (r, b) and y(k−1) (m, b)."""
+        at = [torch.tensor(part.T.copy(), dtype=self.model.dtype) for part in (x, u, y_previous)]
+        return np.asarray(self.model.step(*at)[0].numpy().T)
 
     def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray) -> FloatArray:
         """Inputs (HORIZON, r) inside the range that drive ‖x‖ as far as gradient ascent finds."""
@@ -298,10 +294,10 @@ class _Linear:
         both = [self.system.simulate(np.ascontiguousarray(u[:, :, c]), x0[:, c]) for c in range(u.shape[2])]
         return np.stack([y for y, _ in both], axis=2), np.stack([x for _, x in both], axis=2)
 
-    def follow(self, u: FloatArray, y0: FloatArray, x0: FloatArray, y: FloatArray, x: FloatArray) -> Any:
-        del y0, x0
+    def next_state(self, x: FloatArray, u: FloatArray, y_previous: FloatArray) -> FloatArray:
+        del y_previous
         with np.errstate(over="ignore", invalid="ignore"):
-            return y[-1], self.system.A @ x[-1] + self.system.B @ u[-1]
+            return self.system.A @ x + self.system.B @ u
 
     def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray) -> FloatArray:
         """For a fixed direction d of x(K) the worst input is the sign of Bᵀ (Aᵀ)^(K−1−k) d; d follows x(K) then."""
@@ -409,7 +405,8 @@ def _stress(
         largest_x = np.maximum(largest_x, np.where(alive, norms, 0).max(axis=0))
         largest_y = np.maximum(largest_y, np.where(alive, outputs, 0).max(axis=0))
         largest_x, largest_y = (np.where(finite.all(axis=0), largest, np.inf) for largest in (largest_x, largest_y))
-        previous, state = system.follow(u, previous, state, y, x)
+        state = system.next_state(x[-1], u[-1], y[-2] if len(y) > 1 else previous)
+        previous = y[-1]
     return tuple(Stress(INPUTS[i], int(reached[i]), float(largest_x[i]), float(largest_y[i])) for i in range(b))
 
 

@@ -4,16 +4,19 @@ The same equations as `nnss`, written for the CPU. `NNSS` is the readable versio
 this one. Sizes are arguments, so one compilation a precision serves every architecture; numba
 keeps it on disk for later processes.
 
-Layout: signals and activations are (sample, channel, batch) with the batch innermost, so that the
-n × n algebra vectorises over it and a layer is one matrix product. For a single window a weight's
-gradient is one product over a block of samples. The generator's weights are one flat
-vector, layer by layer: matrix, then bias.
+Layout: signals and the entries of W, V, B, C are (sample, channel, batch) with the batch innermost, so that the
+n × n algebra vectorises over it. Activations are (sample, batch, channel) with rows of whole vectors: a layer and
+its adjoint are then products without a transposed operand, and a weight's gradient is one product over a
+block of samples and windows. The generator's weights come as one flat vector, layer by layer: matrix, then
+bias. Of V only V − Vᵀ counts, so the last layer is computed for its n(n−1)/2 entries above the diagonal.
 
-A step never forms A:  M z = x,  q = W2 z,  A x = W1ᵀ q, with W = [W1 W2] and M by LU without pivoting
+A Schur step never forms A:  M z = x,  q = W2 z,  A x = W1ᵀ q, with W = [W1 W2] and M by LU without pivoting
 (its symmetric part is positive definite). Its adjoint, for μ = ∂J/∂x(k+1) and λ = M⁻ᵀ W2ᵀ W1 μ:
 
     ∂J/∂x = λ + …,   ∂J/∂M = −λ zᵀ,   ∂J/∂W1 = q μᵀ − (W1 λ zᵀ + W1 z λᵀ)/(2γ²),
-    ∂J/∂W2 = (W1 μ) zᵀ − (W2 λ zᵀ + q λᵀ)/2,   ∂J/∂V = z λᵀ − λ zᵀ
+    ∂J/∂W2 = (W1 μ) zᵀ − (W2 λ zᵀ + q λᵀ)/2,   ∂J/∂(V − Vᵀ)ᵢⱼ = zᵢ λⱼ − λᵢ zⱼ for i < j
+
+`_contraction_adjoint` has the formulas of the contraction.
 
 All of it is one file on purpose: numba's cache looks at the file of the entry point alone, so a part
 kept elsewhere could change without being compiled again.
