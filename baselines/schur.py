@@ -35,10 +35,12 @@ def schur_matrix(W: FloatArray, V: FloatArray, gamma: float = 1.0, epsilon: floa
     return np.linalg.solve(M.T, S[:n, n:].T).T
 
 
-def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -> tuple[FloatArray, FloatArray]:
+def schur_inverse(
+    A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON, P: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """W (2n, 2n) and V (n, n) with `schur_matrix(W, V)` = A, in closed form.
 
-    With P from γ²P − A P Aᵀ = I, the matrix S = c [[γ²P, AP], [PAᵀ, P]] is positive definite and
+    With γ²P − A P Aᵀ positive definite, so is S = c [[γ²P, AP], [PAᵀ, P]], which
     gives M = c P, S12 = c A P, V = 0, hence A. Any c with λmin(S) > ε will do, for W = chol(S − εI)ᵀ
     to exist; the one taken makes the mean of S's diagonal 2, as SIMBa's random W has it, unless a
     larger one is needed. With the smallest possible c an optimiser's first steps would be far
@@ -48,6 +50,7 @@ def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -
         A: matrix (n, n) with ρ(A) < γ.
         gamma: bound on the spectral radius.
         epsilon: as in `schur_matrix`.
+        P: positive definite (n, n); the solution of γ²P − A P Aᵀ = I where it is None.
 
     Raises:
         InputError: ρ(A) ≥ γ, so no W, V exist.
@@ -56,7 +59,8 @@ def schur_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -
     radius = float(np.abs(np.linalg.eigvals(A)).max())
     if not radius < gamma:
         raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
-    P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(n)) / gamma**2
+    if P is None:
+        P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(n)) / gamma**2
     S = np.block([[gamma**2 * P, A @ P], [P @ A.T, P]])
     S = (S + S.T) / 2
     S *= max(2 * epsilon / np.linalg.eigvalsh(S)[0], 4 * n / np.trace(S))

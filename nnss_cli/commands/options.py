@@ -107,8 +107,8 @@ FIT_OPTIONS: dict[str, Any] = {
         str, "--optimiser", "adam|lbfgs|gauss-newton", "Adam on mini-batches, or the others on all windows at once."
     ),
     "refine": _training(int, "--refine", "N", "Gauss–Newton iterations after Adam, at most."),
-    "warm": _fit_option(
-        bool | None, _TRAINING, "--warm/--cold", None, "Start as SSEST's linear model, or from random weights."
+    "initial": _training(
+        str, "--start", "random|linear|feedback", "Random weights, SSEST's model, or that with saturated feedback."
     ),
     "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),

@@ -48,7 +48,7 @@ def suggest(trial: optuna.Trial, shortest: int) -> Settings:
         "stride": max(1, window // 20),
         "batch": trial.suggest_categorical("batch", [1, 8, 32, 64]),
         "optimiser": "adam",
-        "warm": False,
+        "initial": "random",
     }
 
 
@@ -146,7 +146,7 @@ def options_of(values: dict[str, Any]) -> str:
         "--lambda": f"{values['lambda']:.3g}", "--learning-rate": f"{values['learning_rate']:.3g}",
         "--window": values["window"], "--stride": max(1, values["window"] // 20), "--batch": values["batch"],
     }  # fmt: skip
-    return "--optimiser adam --cold " + " ".join(f"{name} {value}" for name, value in settings.items())
+    return "--optimiser adam --start random " + " ".join(f"{name} {value}" for name, value in settings.items())
 
 
 def _trial(trial: optuna.trial.FrozenTrial) -> Trial:

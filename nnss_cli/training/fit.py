@@ -14,6 +14,7 @@ from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
+from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import warm_start
@@ -68,12 +69,14 @@ def train_nnss(
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, data.scaling, data.channels, data.Ts)
     model.initialise(named_random(seed, "weights"))
-    if recipe.warm:
+    if recipe.initial == "linear" or (
+        recipe.initial == "feedback" and not feedback_start(model, train, val, named_random(seed, "feedback"))
+    ):
         warm_start(model, train, val)
     engine = build_engine(model, u, y, recipe)
 
     watch = _Watch(engine, val, recipe, on_epoch)
-    if recipe.warm:
+    if recipe.initial != "random":
         watch.start()
     if recipe.optimiser == "adam":
         _adam(engine, len(u), recipe, named_random(seed, "shuffling"), watch)

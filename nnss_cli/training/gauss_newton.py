@@ -57,14 +57,37 @@ def gauss_newton(
         engine.place(vector)
         return engine.sensitivities(point[p:].reshape(x0.shape))
 
-    point = np.concatenate([vector[:p], x0.ravel()])
+    def accepted(_: FloatArray, loss: float, x: FloatArray) -> bool:
+        if not fixed_encoder and np.isfinite(loss):
+            known = y[:, -x.shape[1] :]
+            set_encoder(layers, *regress_encoder(known.reshape(-1, y.shape[2]), x.reshape(-1, x.shape[2])))
+        engine.place(vector)
+        return goes_on(loss)
+
+    levenberg_marquardt(evaluate, np.concatenate([vector[:p], x0.ravel()]), iterations, accepted)
+
+
+def levenberg_marquardt(
+    evaluate: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
+    point: FloatArray,
+    iterations: int,
+    accepted: Callable[[FloatArray, float, FloatArray], bool],
+) -> None:
+    """Minimise ‖e‖² from `point`.
+
+    Args:
+        evaluate: a point's errors (q,), their derivatives (q, p), and the states that went with them.
+        point: where to begin (p,).
+        iterations: at most.
+        accepted: hears of each step taken: point, mean square error, states; whether there is to be another.
+    """
     damping = FIRST_DAMPING
-    e, J, _ = evaluate(point)
+    e, J, x = evaluate(point)
     for _ in range(iterations):
         norms = np.linalg.norm(J, axis=0)
         largest = float(norms.max())
         if not largest > 0 or not np.isfinite(largest):
-            goes_on(float(e @ e) / len(e))
+            accepted(point, float(e @ e) / len(e), x)
             return
         scale = 1 / np.maximum(norms, FLOOR * largest)
         J *= scale
@@ -91,9 +114,5 @@ def gauss_newton(
                 return
         damping = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), np.finfo(float).eps)
         point, e, J = candidate, errors, derivatives
-        if not fixed_encoder:
-            known = y[:, -x.shape[1] :]
-            set_encoder(layers, *regress_encoder(known.reshape(-1, y.shape[2]), x.reshape(-1, x.shape[2])))
-        engine.place(vector)
-        if not goes_on(lower / len(e)):
+        if not accepted(point, lower / len(e), x):
             return

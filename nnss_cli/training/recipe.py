@@ -13,6 +13,7 @@ from nnss_cli.model.architecture import Architecture
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
+STARTS = ("random", "linear", "feedback")
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Recipe:
     """adam on mini-batches; lbfgs or gauss-newton on all windows at once (an epoch is then an iteration)."""
     refine: int = 0
     """Gauss–Newton iterations from the best epoch of Adam, at most, and at most `epochs`."""
-    warm: bool = False
-    """Start as the linear model that SSEST finds, instead of from random weights."""
+    initial: str = "random"
+    """Start: random weights, the linear model that SSEST finds, or that with feedback through saturations."""
     fixed_encoder: bool = False
     """Leave the encoder as it starts."""
     engine: str = "fast"
@@ -65,6 +66,8 @@ class Recipe:
             raise unknown("engine", self.engine, ("auto", *ENGINES))
         if self.optimiser not in OPTIMISERS:
             raise unknown("optimiser", self.optimiser, OPTIMISERS)
+        if self.initial not in STARTS:
+            raise unknown("start", self.initial, STARTS)
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
@@ -119,12 +122,12 @@ _PAPER: dict[str, dict[int, Recipe]] = {
 # Found on validation, protocol paper (docs/recipes.md). Simulations of whole records, exact second-order steps
 # from a good linear model, and so few weights that a full Jacobian is cheap: seconds a run.
 _BEST = Recipe(
-    hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, warm=True, optimiser="gauss-newton",
-    epochs=100, patience=100, consistency=0.0,
+    hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="feedback",
+    optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0,
 )  # fmt: skip
 _BEST_OF: dict[str, Recipe] = {
     # its errors are coloured noise and unmodelled modes: more iterations only overfit
-    "robotarm": _BEST.replace(epochs=10),
+    "robotarm": _BEST.replace(hidden=(16,), epochs=5),
     # 100 samples: depth and consistency act as a prior, and a warm start overfits
     "daisy-powerplant": _POWER_PLANT.replace(hidden=(120,) * 6, consistency=0.3, window=60, stride=10, batch=5),
 }

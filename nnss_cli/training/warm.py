@@ -17,8 +17,9 @@ from nnss_cli.baselines.schur import contracting_basis, contraction_inverse, sch
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.encoder import set_encoder
+from nnss_cli.training.encoder import Layers, set_encoder
 
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
 
@@ -61,24 +62,49 @@ def warm_start(model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...]) 
     """
     a = model.architecture
     start, E = linear_start(train, val, a.order, a.gamma)
-    W: FloatArray = np.zeros((2 * a.order, 2 * a.order))
-    V: FloatArray = np.zeros((a.order, a.order))
-    if a.stability == "schur":
-        W, V = schur_inverse(start.A, a.gamma, a.epsilon)
-    elif a.stability == "contraction":
-        T = contracting_basis(start.A, a.gamma)
+    A = start.A
+    if a.stability == "contraction":
+        T = contracting_basis(A, a.gamma)
         start, E = start.transform(T), T @ E
         # a slow pole leaves no room for ε: what is taken off is no more than INSIDE takes elsewhere
         limit = a.gamma * (1 - 4 * a.epsilon)
         A = start.A * min(1.0, limit / float(np.linalg.norm(start.A, 2)))
+    set_generator(model, np.concatenate(free_matrices(a, A)), start.B, start.C)
+    set_encoder(encoder_layers(model), E, np.zeros(a.order))
+
+
+def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """W (4n²,) and V (n²,), flat, for which the parametrisation gives A.
+
+    Args:
+        a: which parametrisation.
+        A: ρ(A) < γ for schur, ‖A‖₂ < γ for contraction.
+        P: of `schur_inverse`.
+    """
+    W: FloatArray = np.zeros((2 * a.order, 2 * a.order))
+    V: FloatArray = np.zeros((a.order, a.order))
+    if a.stability == "schur":
+        W, V = schur_inverse(A, a.gamma, a.epsilon, P)
+    elif a.stability == "contraction":
         W = contraction_inverse(A, a.gamma, a.epsilon)
     else:
-        W[: a.order, : a.order] = start.A
+        W[: a.order, : a.order] = A
+    return W.ravel(), V.ravel()
+
+
+def set_generator(
+    model: NNSS, free: FloatArray, B: FloatArray, C: FloatArray, weights: FloatArray | None = None
+) -> None:
+    """Write the last layer: W, V (5n²,), B and C as its bias; `weights` (5n², h) of W and V, those of B and C zero."""
+    output = cast(torch.nn.Linear, model.generator[-1])
     with torch.no_grad():
-        output = cast(torch.nn.Linear, model.generator[-1])
         output.weight.zero_()
-        output.bias.copy_(torch.from_numpy(np.concatenate([part.ravel() for part in (W, V, start.B, start.C)])))
-        layers = [
-            (layer.weight.numpy(), layer.bias.numpy()) for layer in cast(Iterable[torch.nn.Linear], model.encoder)
-        ]
-        set_encoder(layers, E, np.zeros(a.order))
+        if weights is not None:
+            output.weight[: len(weights)] = torch.from_numpy(weights)
+        output.bias.copy_(torch.from_numpy(np.concatenate([free, B.ravel(), C.ravel()])))
+
+
+def encoder_layers(model: NNSS) -> Layers:
+    """Weight and bias of each layer of the encoder, as views."""
+    layers = cast(Iterable[torch.nn.Linear], model.encoder)
+    return [(layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in layers]

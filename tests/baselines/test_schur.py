@@ -35,6 +35,15 @@ def test_the_closed_form_inverse_round_trips(n: int, gamma: float, fraction: flo
     np.testing.assert_allclose(schur_matrix(W, V, gamma), A, atol=1e-10, rtol=1e-10)
 
 
+@given(n=sizes, gamma=gammas, seed=st.integers(0, 2**32 - 1))
+def test_any_lyapunov_matrix_serves_the_inverse(n: int, gamma: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    A = random.standard_normal((n, n))
+    A *= 0.9 * gamma / np.linalg.norm(A, 2)
+    W, V = schur_inverse(A, gamma, P=np.eye(n))
+    np.testing.assert_allclose(schur_matrix(W, V, gamma), A, atol=1e-10, rtol=1e-10)
+
+
 def test_the_inverse_refuses_what_the_map_cannot_reach() -> None:
     with pytest.raises(InputError, match="spectral radius 0.9"):
         schur_inverse(np.array([[0.9]]), gamma=0.9)

@@ -108,7 +108,9 @@ def test_a_warm_start_simulates_like_ssest(gamma: float, stability: str) -> None
 def test_a_warm_start_is_never_worse_on_validation_than_it_began() -> None:
     data = load("twotank-sim").fitting
     train, val = data.normalised()
-    recipe = Recipe(hidden=(4,), encoder=(3,), warm=True, window=0, dtype="float64", optimiser="gauss-newton", epochs=8)
+    recipe = Recipe(
+        hidden=(4,), encoder=(3,), initial="linear", window=0, dtype="float64", optimiser="gauss-newton", epochs=8
+    )
     training = train_nnss(data, 2, 0, recipe)
     started = make(recipe.architecture(2, 1, 1))
     started.initialise(named_random(0, "weights"))

@@ -1,0 +1,243 @@
+"""Start an NN-SS model as a linear one whose outputs feed back through saturations (a Lur'e model).
+
+    x(k+1) = A x + B u + F tanh(G x),   ŷ = C x,   G = g C₀
+
+Dry friction of a drive is such a feedback. With tanh(s) = ψ(s) s, 0 < ψ ≤ 1, the model is LPV,
+
+    A(x) = A + F ψ(Gx) G
+
+and where one P satisfies γ²P − A(x) P A(x)ᵀ > 0 for all ψ there is a basis in which P = I and the closed form of
+the Schur parametrisation is smooth in ψ, so that a small generator can be regressed on it. It has n weights
+for each output beside the linear model's: where data are too poor in nonlinearity for a free
+generator, which has thousands, these still generalise.
+
+Sources: H. K. Khalil, "Nonlinear Systems", 3rd ed., 2002, ch. 7; for P, the bounded real lemma: C. E. de Souza and
+L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(1), 1992.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import scipy.linalg
+import torch
+
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.encoder import regress_encoder, set_encoder
+from nnss_cli.training.gauss_newton import levenberg_marquardt
+from nnss_cli.training.warm import encoder_layers, free_matrices, linear_start, set_generator
+
+ITERATIONS = 80
+PATIENCE = 25  # iterations without a lower validation error
+GAIN = 2.0, 0.5  # median of g, for outputs of unit deviation, and deviation of its logarithm
+SLOPES = 0.5, 4.0  # of the generator's sigmoids, relative to g
+TARGETS = 1000  # training states at which the generator is regressed, about
+CUT = 1e-4  # relative singular value below which the regression sees nothing
+TOO_LARGE = 1e6  # a normalised state beyond it has diverged
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """x(k+1) = A x + B u + F tanh(G x), ŷ = C x, in normalised units."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    F: FloatArray
+    G: FloatArray
+
+    def states(self, u: FloatArray, x0: FloatArray) -> FloatArray:
+        """x (K, n) for inputs (K, r)."""
+        x, path = x0, np.empty((len(u), len(x0)))
+        driven = u @ self.B.T
+        for k in range(len(u)):
+            path[k] = x
+            x = self.A @ x + driven[k] + self.F @ np.tanh(self.G @ x)
+            if not np.abs(x).max() < TOO_LARGE:
+                path[k:] = np.inf
+                break
+        return path
+
+    def state_matrix(self, x: FloatArray) -> FloatArray:
+        """A(x) = A + F ψ(Gx) G, with ψ(s) = tanh(s)/s."""
+        s = self.G @ x
+        near = np.abs(s) < 1e-8
+        psi = np.where(near, 1.0, np.tanh(s) / np.where(near, 1.0, s))
+        return self.A + (self.F * psi) @ self.G
+
+    def transform(self, T: FloatArray) -> Feedback:
+        """The same model with states T x."""
+        inverse = np.linalg.inv(T)
+        return Feedback(T @ self.A @ inverse, T @ self.B, self.C @ inverse, T @ self.F, self.G @ inverse)
+
+    def contracting_basis(self, gamma: float, epsilon: float) -> FloatArray | None:
+        """T (n, n) with ‖T A(x) T⁻¹‖₂ < γ (1 − 4ε) at every x, the smallest norm found; None where none is.
+
+        A(x) lies within A + ½FG + ½F δ G, |δ| ≤ 1. P = TᵀT is the solution of the bounded real
+        lemma's Riccati equation for these, over a range of margins λ.
+        """
+        n, m = self.F.shape
+        A, F = (self.A + self.F @ self.G / 2) / gamma, self.F / gamma
+        corners = [(self.A + (self.F * psi) @ self.G) / gamma for psi in itertools.product((0.0, 1.0), repeat=m)]
+        smallest, basis = 1 - 4 * epsilon, None
+        spread = self.G.T @ self.G / 4
+        for margin in np.geomspace(1e-5, 1, 26) * np.trace(spread) / m:
+            try:
+                P = scipy.linalg.solve_discrete_are(A, F, spread + margin * np.eye(n), -np.eye(m))
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            values, vectors = np.linalg.eigh((P + P.T) / 2)
+            if not values[0] > 1e-9 * values[-1]:
+                continue
+            T = (vectors * np.sqrt(values)) @ vectors.T
+            inverse = np.linalg.inv(T)
+            norm = max(float(np.linalg.norm(T @ corner @ inverse, 2)) for corner in corners)
+            if norm < smallest:
+                smallest, basis = norm, T
+        return basis
+
+
+class Problem:
+    """Errors of a feedback model over the training records, and their derivatives by its parameters and x(0)."""
+
+    def __init__(self, start: LinearStateSpace, E: FloatArray, G: FloatArray, records: tuple[Record, ...]) -> None:
+        self.G, self.records = G, records
+        self.n, self.r, self.m = start.order, start.B.shape[1], len(start.C)
+        theta = np.concatenate([start.A, start.B, np.zeros((self.n, self.m))], axis=1)  # of [x; u; tanh(Gx)]
+        begin = [E @ record.y[0] for record in records]
+        self.start = np.concatenate([theta.ravel(), start.C.ravel(), *begin])
+
+    def parts(self, point: FloatArray) -> tuple[Feedback, FloatArray]:
+        """The model of a point, and x(0) of each record (N, n)."""
+        n, r, m = self.n, self.r, self.m
+        theta = point[: n * (n + r + m)].reshape(n, n + r + m)
+        C = point[theta.size : theta.size + m * n].reshape(m, n)
+        begin = point[theta.size + m * n :].reshape(-1, n)
+        return Feedback(theta[:, :n], theta[:, n : n + r], C, theta[:, n + r :], self.G), begin
+
+    def evaluate(self, point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors ŷ − y (q,), derivatives (q, p) and states (K, n) of all records.
+
+        With θ = [A B F], z = [x; u; tanh(Gx)] and F' = F diag(1 − tanh²(Gx)):
+        ∂x(k+1)/∂θ = (A + F'G) ∂x(k)/∂θ + ∂θ z, and likewise by x(0).
+        """
+        model, begin = self.parts(point)
+        n, m, inner = self.n, self.m, self.n + self.r + self.m
+        rows, theta_size = np.arange(n), n * inner
+        errors, derivatives, paths = [], [], []
+        for index, record in enumerate(self.records):
+            path = model.states(record.u, begin[index])
+            paths.append(path)
+            errors.append((path @ model.C.T - record.y).ravel())
+            if not np.isfinite(path).all():
+                return np.full(1, np.inf), np.empty((0, 0)), path
+            bent = np.tanh(path @ self.G.T)
+            z = np.concatenate([path, record.u, bent], axis=1)
+            own = theta_size + m * n + index * n  # where this record's x(0) stands
+            J = np.zeros((len(path), m, len(point)))
+            S = np.concatenate([np.zeros((n, theta_size)), np.eye(n)], axis=1)
+            for k in range(len(path)):
+                out = model.C @ S
+                J[k, :, :theta_size], J[k, :, own : own + n] = out[:, :theta_size], out[:, theta_size:]
+                S = (model.A + (model.F * (1 - bent[k] ** 2)) @ self.G) @ S
+                S[:, :theta_size].reshape(n, n, inner)[rows, rows] += z[k]
+            for output in range(m):
+                J[:, output, theta_size + output * n : theta_size + (output + 1) * n] = path
+            derivatives.append(J.reshape(-1, len(point)))
+        return np.concatenate(errors), np.concatenate(derivatives), np.concatenate(paths)
+
+
+def fit_feedback(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float, epsilon: float, gain: float
+) -> tuple[Feedback, FloatArray] | None:
+    """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
+
+    Args:
+        train: experiments in normalised units.
+        val: validation experiments.
+        order: number of states n.
+        gamma: bound on ‖A(x)‖₂ in the basis of the result.
+        epsilon: as in `schur_matrix`.
+        gain: g.
+
+    Returns:
+        The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
+        square; None where no iterate validates better than the linear model.
+    """
+    start, E = linear_start(train, val, order, gamma)
+    problem = Problem(start, E, gain * start.C, train)
+    y = np.concatenate([record.y for record in train])
+    known = np.concatenate([record.y for record in val])
+
+    def val_error(model: Feedback, x: FloatArray) -> float:
+        E, e = regress_encoder(y, x)
+        paths = [model.states(record.u, E @ record.y[0] + e) for record in val]
+        return float(np.mean((np.concatenate(paths) @ model.C.T - known) ** 2))
+
+    _, _, x = problem.evaluate(problem.start)
+    lowest, waited = val_error(problem.parts(problem.start)[0], x), 0
+    best: tuple[Feedback, FloatArray] | None = None
+
+    def accepted(point: FloatArray, _: float, x: FloatArray) -> bool:
+        nonlocal lowest, best, waited
+        model = problem.parts(point)[0]
+        error = val_error(model, x)
+        waited += 1
+        if error < lowest:
+            T = model.contracting_basis(gamma, epsilon)
+            if T is not None:
+                T /= np.sqrt(np.mean((x @ T.T) ** 2))
+                lowest, best, waited = error, (model.transform(T), x @ T.T), 0
+        return waited < PATIENCE
+
+    levenberg_marquardt(problem.evaluate, problem.start, ITERATIONS, accepted)
+    return best
+
+
+def feedback_start(
+    model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...], random: np.random.Generator
+) -> bool:
+    """Set `model` such that it simulates like a linear one with feedback from its outputs.
+
+    The first layer's sigmoids get the directions of the outputs, with slopes and centres at random, layers between keep
+    their weights, and the last layer is regressed on W and V of A(x) at the training states. The
+    encoder is the regression of these states on the outputs.
+
+    Args:
+        model: initialised weights, scheduled by x alone; changed in place.
+        train: experiments in normalised units.
+        val: validation experiments.
+        random: draws g, slopes and centres.
+
+    Returns:
+        Whether there is such a model that validates better than the linear one; else nothing is changed.
+    """
+    a = model.architecture
+    middle, spread = GAIN
+    found = fit_feedback(train, val, a.order, a.gamma, a.epsilon, middle * np.exp(spread * random.standard_normal()))
+    if found is None:
+        return False
+    feedback, x = found
+    G, width = feedback.G, a.hidden[0]
+    slopes = np.exp(random.uniform(*np.log(SLOPES), width)) * random.choice([-1.0, 1.0], width)
+    directions = np.resize(G, (width, a.order)) * slopes[:, None]
+    centres = x[random.integers(len(x), size=width)]
+    first = cast(torch.nn.Linear, model.generator[0])
+    at = x[:: max(1, len(x) // TARGETS)]
+    targets = np.array([np.concatenate(free_matrices(a, feedback.state_matrix(k), np.eye(a.order))) for k in at])
+    rho = torch.zeros(len(at), a.scheduling_size, dtype=model.dtype)
+    rho[:, : a.order] = torch.from_numpy(at)
+    with torch.no_grad():
+        first.weight.zero_()
+        first.weight[:, : a.order] = torch.from_numpy(directions)
+        first.bias.copy_(torch.from_numpy(-np.sum(directions * centres, axis=1)))
+        features = model.generator[:-1](rho).numpy().astype(np.float64)
+    affine, *_ = np.linalg.lstsq(np.column_stack([features, np.ones(len(at))]), targets, rcond=CUT)
+    set_generator(model, affine[-1], feedback.B, feedback.C, affine[:-1].T)
+    set_encoder(encoder_layers(model), *regress_encoder(np.concatenate([record.y for record in train]), x))
+    return True

@@ -1,0 +1,120 @@
+"""The start with feedback from the outputs: derivatives, contracting basis, the network regressed on it."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from nnss_cli.baselines.ssest import ssest
+from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
+from nnss_cli.datasets.record import Channels, Record, Scaling
+
+from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.engine import free_run_rmse
+from nnss_cli.training.fast import FastEngine
+from nnss_cli.training.feedback import Feedback, Problem, feedback_start, fit_feedback
+from nnss_cli.training.recipe import Recipe
+
+
+def plant(random: np.random.Generator, n: int, r: int, m: int, size: float) -> Feedback:
+    """A model of which a P exists: its norm is below 0.95 for every ψ, in a basis that is then hidden."""
+    A = np.linalg.qr(random.standard_normal((n, n)))[0] * 0.95 * random.uniform(0.7, 1, n)
+    C = np.linalg.qr(random.standard_normal((n, m)))[0].T
+    F = -size * A @ C.T  # A + F ψ C: between A and a contraction of it
+    T = random.standard_normal((n, n)) + 2 * np.eye(n)
+    return Feedback(A, random.standard_normal((n, r)), C, F, C).transform(T)
+
+
+@given(n=st.integers(1, 6), m=st.integers(1, 3), gamma=st.sampled_from([1.0, 0.97]), seed=st.integers(0, 2**32 - 1))
+def test_the_basis_contracts_at_every_state(n: int, m: int, gamma: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    model = plant(random, n, 1, min(n, m), 0.2)
+    T = model.contracting_basis(gamma, 1e-5)
+    assert T is not None
+    there = model.transform(T)
+    for x in random.standard_normal((20, n)) * 10.0 ** random.uniform(-9, 2, (20, 1)):
+        assert np.linalg.norm(there.state_matrix(x), 2) < gamma
+
+
+def test_there_is_no_basis_for_what_is_unstable() -> None:
+    one = np.ones((1, 1))
+    assert Feedback(0.9 * one, one, one, -0.5 * one, one).contracting_basis(1.0, 1e-5) is not None
+    assert Feedback(0.9 * one, one, one, 0.2 * one, one).contracting_basis(1.0, 1e-5) is None
+
+
+@pytest.mark.parametrize(("n", "r", "m", "records"), [(2, 1, 1, 1), (4, 3, 2, 2), (1, 2, 1, 3)])
+def test_derivatives_agree_with_differences(n: int, r: int, m: int, records: int) -> None:
+    random = np.random.default_rng(0)
+    start = LinearStateSpace(
+        0.8 * np.eye(n), random.standard_normal((n, r)), random.standard_normal((m, n)), np.zeros((m, r)), 1.0
+    )
+    data = tuple(Record(random.standard_normal((9, r)), random.standard_normal((9, m)), 1.0) for _ in range(records))
+    problem = Problem(start, np.linalg.pinv(start.C), 1.5 * start.C, data)
+    point = problem.start + 0.1 * random.standard_normal(problem.start.shape)
+    errors, J, x = problem.evaluate(point)
+    assert (errors.shape, x.shape) == ((9 * records * m,), (9 * records, n))
+    differences = scipy.optimize.approx_fprime(point, lambda p: problem.evaluate(p)[0], 1e-7)
+    np.testing.assert_allclose(J, differences, atol=1e-5 * max(1, np.abs(J).max()))
+
+
+def test_a_point_that_diverges_has_no_finite_error() -> None:
+    record = Record(np.ones((200, 1)), np.ones((200, 1)), 1.0)
+    one = np.ones((1, 1))
+    problem = Problem(LinearStateSpace(2 * one, one, one, 0 * one, 1.0), one, one, (record,))
+    assert not np.isfinite(problem.evaluate(problem.start)[0]).all()
+
+
+@pytest.fixture(scope="module")
+def records() -> tuple[Record, Record]:
+    """A drive with dry friction: resonance, saturated feedback from the measured speed, a little noise."""
+    model = Feedback(
+        np.array([[0.97, 0.15], [-0.15, 0.95]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.0]]),
+        np.array([[-0.12], [0.0]]), np.array([[3.0, 0.0]]),
+    )  # fmt: skip
+    random = np.random.default_rng(4)
+
+    def run() -> Record:
+        u = random.standard_normal((500, 1))
+        y = model.states(u, np.array([0.5, 0.0])) @ model.C.T
+        return Record(u, (y + 0.02 * random.standard_normal(y.shape)) / 0.6, 1.0)
+
+    return run(), run()
+
+
+def test_friction_is_found(records: tuple[Record, Record]) -> None:
+    train, val = records
+    found = fit_feedback((train,), (val,), 2, 1.0, 1e-5, gain=2.0)
+    assert found is not None
+    model, x = found
+    assert np.sqrt(np.mean((x @ model.C.T - train.y) ** 2)) < 0.05
+    assert simulation_rms(ssest((train,), (val,), 2), (val,)) > 0.1
+
+
+@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize("scheduling", SCHEDULING)
+def test_the_network_simulates_like_the_model_it_was_regressed_on(
+    records: tuple[Record, Record], stability: str, scheduling: str
+) -> None:
+    train, val = records
+    a = Architecture(2, 1, 1, (16,), (4,), scheduling, dtype="float64", stability=stability)
+    unit = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+    model = NNSS(a, unit, Channels(("u",), ("y",), ("",), ("",)), 1.0)
+    model.initialise(np.random.default_rng(0))
+    assert feedback_start(model, (train,), (val,), np.random.default_rng(1))
+    zero = np.zeros((1, 3, 1))
+    error = free_run_rmse(FastEngine(model, zero, zero, Recipe(dtype="float64")), (val,))
+    assert error < 0.5 * simulation_rms(ssest((train,), (val,), 2), (val,))
+    rho = torch.zeros(1, a.scheduling_size, dtype=torch.float64)
+    W, V, _, _ = model.matrices(rho)
+    assert np.abs(np.linalg.eigvals(model.state_matrix(W, V)[0].detach().numpy())).max() < 1
+
+
+def test_a_linear_plant_gets_no_feedback() -> None:
+    random = np.random.default_rng(0)
+    system = LinearStateSpace(np.array([[0.9]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
+    u = random.standard_normal((2, 60, 1))
+    train, val = (Record(v, system.simulate(v, np.zeros(1))[0], 1.0) for v in u)
+    found = fit_feedback((train,), (val,), 1, 1.0, 1e-5, gain=2.0)
+    assert found is None or np.abs(found[0].F).max() < 1e-3
