@@ -65,7 +65,7 @@ reproduce: install ## The paper's study and ours, ending in results/report.md: S
 	for dataset in twotank daisy-powerplant robotarm; do \
 	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
 	done
-	$(NNSS) report --out $(OUT)
+	$(NNSS) report --no-times --out $(OUT)
 
 studies: install ## Ablations and the price of stability, to be followed by `make reproduce` for the report
 	for dataset in twotank daisy-powerplant robotarm; do for study in recipe stability; do \

@@ -35,8 +35,12 @@ from nnss_cli.report.tables import SPLIT_NAMES, failures, markdown, rmse_markdow
 HOUR = 3600.0
 
 
-def write_comparison(store: Store) -> list[Path]:
+def write_comparison(store: Store, times: bool = True) -> list[Path]:
     """Rebuild rmse.csv, rmse.md and the figures of one dataset and protocol from its runs.
+
+    Args:
+        store: where the runs are.
+        times: whether rmse.csv holds the wall times; without, equal runs give equal files.
 
     Returns:
         The files written, figures that have nothing to show left out.
@@ -48,7 +52,10 @@ def write_comparison(store: Store) -> list[Path]:
     if not results:
         raise InputError(f"no finished runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
     folder = store.folder
-    write_text(folder / "rmse.csv", long_table(results).to_csv(index=False, lineterminator="\n"))
+    table = long_table(results)
+    if not times:
+        table["fit_seconds"] = None
+    write_text(folder / "rmse.csv", table.to_csv(index=False, lineterminator="\n"))
     write_text(folder / "rmse.md", rmse_markdown(results))
     written = [folder / "rmse.csv", folder / "rmse.md"]
     drawn = {
@@ -69,8 +76,8 @@ def write_comparison(store: Store) -> list[Path]:
     return written
 
 
-def write_report(out: Path) -> Path:
-    """Rebuild every comparison under `out` and write report.md.
+def write_report(out: Path, times: bool = True) -> Path:
+    """Rebuild every comparison under `out` and write report.md; `times` as in `write_comparison`.
 
     Raises:
         InputError: there are no runs.
@@ -86,7 +93,7 @@ def write_report(out: Path) -> Path:
     for protocol in sorted({store.protocol for store in found}):
         parts += _overall([r for store in found if store.protocol == protocol for r in store.results()], protocol, out)
     for store in found:
-        files = write_comparison(store)
+        files = write_comparison(store, times)
         parts.append(_section(store, files, out))
     path = out / "report.md"
     write_text(path, "\n\n".join(parts) + "\n")

@@ -135,6 +135,21 @@ def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> Non
     assert write_comparison(Store(out, "twotank-sim", "paper"))
 
 
+def test_equal_runs_give_equal_files_without_times(tmp_path: Path, nnss) -> None:
+    files = []
+    for name in ("one", "two"):
+        out = tmp_path / name
+        train = ("train", "twotank-sim", "--order", "2", "--method", "simba", "--epochs", "2", "--out", out)
+        assert nnss(*train).code == 0
+        assert nnss("report", "--out", out).code == 0
+        csv = Store(out, "twotank-sim", "paper").folder / "rmse.csv"
+        assert pd.read_csv(csv)["fit_seconds"].notna().all()
+        assert nnss("report", "--no-times", "--out", out).code == 0
+        files.append(csv.read_bytes())
+        assert list(pd.read_csv(csv).columns) == COLUMNS
+    assert files[0] == files[1]
+
+
 def test_the_zoom_shows_where_the_record_changes_most() -> None:
     step = np.where(np.arange(1200) < 700, 0.0, 1.0)[:, None] + 0.1 * np.sin(np.arange(1200))[:, None]
     part = transient(step)
