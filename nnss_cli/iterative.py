@@ -14,7 +14,7 @@ EpochCallback = Callable[[int, float, float], None]
 
 @dataclass
 class EarlyStopping:
-    """Keep the best epoch; give up after `patience` epochs without a marked improvement.
+    """Keep the best epoch; give up after a `patience` of epochs or steps without a marked improvement.
 
     An improvement resets the patience only if it is `improvement` (relative) below the error at
     the last reset, as in the released code; the best epoch needs no such margin.
@@ -26,12 +26,12 @@ class EarlyStopping:
     reference: float = math.inf
     waited: int = 0
 
-    def is_best(self, error: float) -> bool:
-        """Take in one epoch's error; whether it is the lowest so far."""
+    def is_best(self, error: float, waited: int = 1) -> bool:
+        """Take in an epoch's error and what it adds to the wait; whether the error is the lowest so far."""
         if error <= (1 - self.improvement) * self.reference:
             self.reference, self.waited = error, 0
         else:
-            self.waited += 1
+            self.waited += waited
         if error < self.best:
             self.best = error
             return True

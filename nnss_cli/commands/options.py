@@ -90,7 +90,8 @@ def _baseline(kind: Any, name: str, metavar: str | None, help_text: str) -> Any:
 FIT_OPTIONS: dict[str, Any] = {
     "recipe": _training(str, "--recipe", "paper|best", "Of method nnss: as in the paper, or trained well (default)."),
     "epochs": _training(int, "--epochs", "N", "Epochs at most."),
-    "patience": _training(int, "--patience", "N", "Epochs without a 5 % better validation error before it stops."),
+    "patience": _training(int, "--patience", "N", "Wait for a 5 % better validation error before it stops."),
+    "patience_unit": _training(str, "--patience-unit", "epochs|steps", "What patience counts: steps are mini-batches."),
     "window": _training(int, "--window", "L", "Window length, samples; 0 for whole records."),
     "stride": _training(int, "--stride", "N", "Samples between the starts of windows."),
     "batch": _training(int, "--batch", "N", "Windows in a mini-batch."),

@@ -75,11 +75,12 @@ def train_nnss(
         warm_start(model, train, val)
     engine = build_engine(model, u, y, recipe)
 
-    watch = _Watch(engine, val, recipe, on_epoch)
+    batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
+    watch = _Watch(engine, val, recipe, batches, on_epoch)
     if recipe.initial != "random":
         watch.start()
     if recipe.optimiser == "adam":
-        _adam(engine, len(u), recipe, named_random(seed, "shuffling"), watch)
+        _adam(engine, len(u), batches, recipe, named_random(seed, "shuffling"), watch)
         if recipe.refine > 0 and not watch.diverged:
             watch.begin_again()
             gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on, recipe.fixed_encoder)
@@ -94,8 +95,16 @@ def train_nnss(
 class _Watch:
     """Takes in each epoch: the validation run, the best weights, whether to stop."""
 
-    def __init__(self, engine: Engine, val: tuple[Record, ...], recipe: Recipe, on_epoch: EpochCallback | None) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        val: tuple[Record, ...],
+        recipe: Recipe,
+        batches: int,
+        on_epoch: EpochCallback | None,
+    ) -> None:
         self.engine, self.val, self.on_epoch = engine, val, on_epoch
+        self.epoch_waits = batches if recipe.patience_unit == "steps" else 1
         self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
         self.kept, self.best_epoch, self.diverged = engine.weights(), 0, ""
         self.losses: list[float] = []
@@ -109,6 +118,7 @@ class _Watch:
         """Go back to the best weights, with fresh patience."""
         self.engine.place(_vector(self.kept))
         self.stopping.waited, self.stopping.reference = 0, self.stopping.best
+        self.epoch_waits = 1
 
     def goes_on(self, loss: float) -> bool:
         """Note an epoch that ended with this loss; whether there is to be another."""
@@ -121,16 +131,17 @@ class _Watch:
         if not math.isfinite(self.errors[-1]):
             self.diverged = f"the validation error became {self.errors[-1]} in epoch {epoch}"
             return False
-        if self.stopping.is_best(self.errors[-1]):
+        if self.stopping.is_best(self.errors[-1], self.epoch_waits):
             self.kept, self.best_epoch = self.engine.weights(), epoch
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
         return not self.stopping.stop
 
 
-def _adam(engine: Engine, windows: int, recipe: Recipe, shuffling: np.random.Generator, watch: _Watch) -> None:
+def _adam(
+    engine: Engine, windows: int, batches: int, recipe: Recipe, shuffling: np.random.Generator, watch: _Watch
+) -> None:
     """Adam on shuffled mini-batches. As in the released code, an incomplete last one is left out."""
-    batches = max(1, windows // recipe.batch)
     for epoch in range(1, recipe.epochs + 1):
         shuffled = shuffling.permutation(windows)
         total = 0.0

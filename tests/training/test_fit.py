@@ -1,5 +1,6 @@
 """The training loop: the loss, stopping, determinism, and that it learns."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from nnss_cli.datasets import twotank
+from nnss_cli.datasets.windows import sliding_windows
 
 from nnss_cli.iterative import EarlyStopping, named_random
 from nnss_cli.model.architecture import SCHEDULING
@@ -25,6 +27,18 @@ def test_early_stopping_keeps_the_best_and_resets_only_on_a_marked_gain() -> Non
     assert best == [True, True, True, True, True, False, True]
     assert stopping.stop  # three epochs after 0.90 without reaching 0.855
     assert stopping.best == 0.88
+
+
+def test_patience_counts_epochs_or_mini_batches(small_data: Callable) -> None:
+    data = small_data().fitting
+    never = QUICK.replace(improvement=0.999999, patience=20, epochs=100)
+    assert train_nnss(data, 2, 0, never).epochs in (20, 21)
+    windows = len(sliding_windows(data.normalised()[0], never.window, never.stride)[0])
+    batches = windows // never.batch
+    assert batches > 1
+    in_steps = train_nnss(data, 2, 0, never.replace(patience_unit="steps"))
+    assert in_steps.epochs in (math.ceil(20 / batches), math.ceil(20 / batches) + 1)
+    assert {paper_recipe(name, 3).patience_unit for name in ("twotank", "robotarm", "daisy-powerplant")} == {"steps"}
 
 
 def test_the_loss_is_response_plus_consistency(small_data: Callable) -> None:
@@ -152,7 +166,7 @@ def test_released_widths() -> None:
     assert paper_recipe("robotarm", 6).hidden == (200,) * 4
     assert paper_recipe("daisy-powerplant", 5).encoder == (117,) * 4
     assert paper_recipe("daisy-powerplant", 9) == paper_recipe("daisy-powerplant", 5)
-    assert paper_recipe("mine", 2) == Recipe()
+    assert paper_recipe("mine", 2) == Recipe(patience_unit="steps")
 
 
 def test_it_learns_the_embedded_plant() -> None:
