@@ -36,8 +36,10 @@ What a reader of protocol `paper` must know about the paper's protocol:
   of choosing adds is shown once, under "Optimism of choosing on test".
 - The Schur formula printed in the paper does not fit in its dimensions; the one of SIMBa, which the authors' code
   computes, is used.
+- The patience of 400 is counted in mini-batches: so counted, the recipe ends where the released models did, in epochs
+  and in errors. Counted in epochs (`--patience-unit epochs`) it trains on for hundreds of epochs, to much lower errors.
 
-Protocol `strict` has none of these overlaps."""
+Protocol `strict` has none of the overlaps."""
 
 
 def as_in_the_paper(results: Sequence[RunResult]) -> list[RunResult]:

@@ -132,10 +132,10 @@ class Problem:
         errors, derivatives, paths = [], [], []
         for index, record in enumerate(self.records):
             path = model.states(record.u, begin[index])
-            paths.append(path)
-            errors.append((path @ model.C.T - record.y).ravel())
             if not np.isfinite(path).all():
                 return np.full(1, np.inf), np.empty((0, 0)), path
+            paths.append(path)
+            errors.append((path @ model.C.T - record.y).ravel())
             bent = np.tanh(path @ self.G.T)
             z = np.concatenate([path, record.u, bent], axis=1)
             own = theta_size + m * n + index * n  # where this record's x(0) stands
@@ -176,8 +176,8 @@ def fit_feedback(
 
     def val_error(model: Feedback, x: FloatArray) -> float:
         E, e = regress_encoder(y, x)
-        paths = [model.states(record.u, E @ record.y[0] + e) for record in val]
-        return float(np.mean((np.concatenate(paths) @ model.C.T - known) ** 2))
+        path = np.concatenate([model.states(record.u, E @ record.y[0] + e) for record in val])
+        return float(np.mean((path @ model.C.T - known) ** 2)) if np.isfinite(path).all() else np.inf
 
     _, _, x = problem.evaluate(problem.start)
     lowest, waited = val_error(problem.parts(problem.start)[0], x), 0
@@ -224,7 +224,8 @@ def feedback_start(
         return False
     feedback, x = found
     G, width = feedback.G, a.hidden[0]
-    slopes = np.exp(random.uniform(*np.log(SLOPES), width)) * random.choice([-1.0, 1.0], width)
+    low, high = np.log(SLOPES)
+    slopes = np.exp(random.uniform(low, high, width)) * random.choice([-1.0, 1.0], width)
     directions = np.resize(G, (width, a.order)) * slopes[:, None]
     centres = x[random.integers(len(x), size=width)]
     first = cast(torch.nn.Linear, model.generator[0])
