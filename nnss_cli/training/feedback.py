@@ -167,26 +167,26 @@ def fit_feedback(
 
     Returns:
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
-        square; None where no iterate validates better than the linear model.
+        square; None where no iterate validates better than the linear model, from either of its encoders.
     """
     start, E = linear_start(train, val, order, gamma)
     problem = Problem(start, E, gain * start.C, train)
     y = np.concatenate([record.y for record in train])
     known = np.concatenate([record.y for record in val])
 
-    def val_error(model: Feedback, x: FloatArray) -> float:
-        E, e = regress_encoder(y, x)
+    def val_error(model: Feedback, E: FloatArray, e: FloatArray) -> float:
         path = np.concatenate([model.states(record.u, E @ record.y[0] + e) for record in val])
         return float(np.mean((path @ model.C.T - known) ** 2)) if np.isfinite(path).all() else np.inf
 
-    _, _, x = problem.evaluate(problem.start)
-    lowest, waited = val_error(problem.parts(problem.start)[0], x), 0
+    linear, (_, _, x) = problem.parts(problem.start)[0], problem.evaluate(problem.start)
+    lowest = min(val_error(linear, E, np.zeros(order)), val_error(linear, *regress_encoder(y, x)))
+    waited = 0
     best: tuple[Feedback, FloatArray] | None = None
 
     def accepted(point: FloatArray, _: float, x: FloatArray) -> bool:
         nonlocal lowest, best, waited
         model = problem.parts(point)[0]
-        error = val_error(model, x)
+        error = val_error(model, *regress_encoder(y, x))
         waited += 1
         if error < lowest:
             T = model.contracting_basis(gamma, epsilon)
@@ -209,7 +209,7 @@ def feedback_start(
     encoder is the regression of these states on the outputs.
 
     Args:
-        model: initialised weights, scheduled by x alone; changed in place.
+        model: initialised weights, changed in place; beside x, what schedules gets no weight.
         train: experiments in normalised units.
         val: validation experiments.
         random: draws g, slopes and centres.
