@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ STYLE: Any = {
     "grid.color": "0.9", "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 100, "savefig.dpi": 200,
     "svg.hashsalt": "nnss",  # equal data, equal file
 }  # fmt: skip
+
+FLAT = 0.02  # of the panel's height: a box below it would be all outline
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ def draw_boxplot(
     title: str,
     split: str,
 ) -> Figure:
-    """RMSE over seeds by order and method, one panel an output, logarithmic.
+    """RMSE over seeds by order and method, one panel an output, logarithmic; the median where there is hardly a spread.
 
     Args:
         values: output → method → order → RMSE of each seed.
@@ -89,7 +92,10 @@ def draw_boxplot(
             1, len(values), figsize=(max(4.6, 3.4 * len(values)), 3.4), squeeze=False, layout="constrained"
         )
         methods = list(dict.fromkeys(method for by_method in values.values() for method in by_method))
+        boxed = set()
         for panel, (output, by_method) in zip(panels[0], values.items(), strict=True):
+            everything = [value for by_order in by_method.values() for sample in by_order.values() for value in sample]
+            tall = FLAT * _span(everything)
             orders = sorted({order for by_order in by_method.values() for order in by_order})
             width = 0.8 / max(1, len(methods))
             for index, method in enumerate(methods):
@@ -97,7 +103,8 @@ def draw_boxplot(
                 for position, order in enumerate(orders):
                     sample = by_method.get(method, {}).get(order, [])
                     at = position + (index - (len(methods) - 1) / 2) * width
-                    if spreads(sample):
+                    if sample and _span(np.quantile(sample, [0.25, 0.75])) > tall:
+                        boxed.add(method)
                         box = panel.boxplot(
                             [sample], positions=[at], widths=0.85 * width, patch_artist=True,
                             medianprops={"color": "black", "linewidth": 1.4},
@@ -105,26 +112,26 @@ def draw_boxplot(
                         )  # fmt: skip
                         box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
                     elif sample:
-                        # no spread, no box: a marker of its own for each method
-                        panel.plot(at, sample[0], look.marker, color=look.colour, markersize=6, markeredgecolor="black")
+                        # too flat a box to show a colour: a marker of the method's own, and the range behind it
+                        panel.plot([at, at], [min(sample), max(sample)], color="black", linewidth=1)
+                        panel.plot(
+                            at, np.median(sample), look.marker, color=look.colour, markersize=6, markeredgecolor="black"
+                        )
             panel.set_xticks(range(len(orders)), [str(order) for order in orders])
             panel.set_xlim(-0.6, len(orders) - 0.4)
             panel.set_yscale("log")
             _few_log_ticks(panel)
             panel.set_xlabel("order n")
-            panel.set_ylabel(f"{split} RMSE, {axes[output]}")
-        handles = [
-            _legend_entry(m, any(spreads(sample) for by in values.values() for sample in by.get(m, {}).values()))
-            for m in methods
-        ]
+            panel.set_ylabel(f"{split} RMSE,\n{axes[output]}")
+        handles = [_legend_entry(method, method in boxed) for method in methods]
         figure.legend(handles=handles, loc="outside lower center", ncols=3 if len(values) == 1 else len(handles))
         figure.suptitle(title, fontsize=10)
     return figure
 
 
-def spreads(sample: Sequence[float]) -> bool:
-    """Whether there is a spread to draw a box of: one run, or equal ones, have none."""
-    return len(sample) > 1 and max(sample) > min(sample) * (1 + 1e-9)
+def _span(values: Sequence[float] | FloatArray) -> float:
+    """Largest over smallest, logarithmic; 0 for none."""
+    return math.log(max(values) / max(min(values), np.finfo(float).tiny)) if max(values, default=0) > 0 else 0.0
 
 
 def _legend_entry(method: str, as_box: bool) -> Artist:
