@@ -30,7 +30,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import regress_encoder, set_encoder
 from nnss_cli.training.gauss_newton import levenberg_marquardt
-from nnss_cli.training.warm import encoder_layers, free_matrices, linear_start, set_generator
+from nnss_cli.training.warm import LinearStart, encoder_layers, free_matrices, set_generator
 
 ITERATIONS = 80
 PATIENCE = 25  # iterations without a lower validation error
@@ -153,14 +153,14 @@ class Problem:
 
 
 def fit_feedback(
-    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float, epsilon: float, gain: float
+    start: LinearStart, train: tuple[Record, ...], val: tuple[Record, ...], gamma: float, epsilon: float, gain: float
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
 
     Args:
+        start: SSEST's model, and the map from y(0) to its x(0).
         train: experiments in normalised units.
         val: validation experiments.
-        order: number of states n.
         gamma: bound on ‖A(x)‖₂ in the basis of the result.
         epsilon: as in `schur_matrix`.
         gain: g.
@@ -169,8 +169,8 @@ def fit_feedback(
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
         square; None where no iterate validates better than the linear model, from either of its encoders.
     """
-    start, E = linear_start(train, val, order, gamma)
-    problem = Problem(start, E, gain * start.C, train)
+    model, E = start
+    problem = Problem(model, E, gain * model.C, train)
     y = np.concatenate([record.y for record in train])
     known = np.concatenate([record.y for record in val])
 
@@ -178,8 +178,11 @@ def fit_feedback(
         path = np.concatenate([model.states(record.u, E @ record.y[0] + e) for record in val])
         return float(np.mean((path @ model.C.T - known) ** 2)) if np.isfinite(path).all() else np.inf
 
-    linear, (_, _, x) = problem.parts(problem.start)[0], problem.evaluate(problem.start)
-    lowest = min(val_error(linear, E, np.zeros(order)), val_error(linear, *regress_encoder(y, x)))
+    linear, begin = problem.parts(problem.start)
+    x = np.concatenate([linear.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)])
+    if not np.isfinite(x).all():
+        return None
+    lowest = min(val_error(linear, E, np.zeros(model.order)), val_error(linear, *regress_encoder(y, x)))
     waited = 0
     best: tuple[Feedback, FloatArray] | None = None
 
@@ -200,7 +203,11 @@ def fit_feedback(
 
 
 def feedback_start(
-    model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...], random: np.random.Generator
+    model: NNSS,
+    linear: LinearStart,
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    random: np.random.Generator,
 ) -> bool:
     """Set `model` such that it simulates like a linear one with feedback from its outputs.
 
@@ -210,6 +217,7 @@ def feedback_start(
 
     Args:
         model: initialised weights, changed in place; beside x, what schedules gets no weight.
+        linear: of `linear_start`.
         train: experiments in normalised units.
         val: validation experiments.
         random: draws g, slopes and centres.
@@ -219,7 +227,8 @@ def feedback_start(
     """
     a = model.architecture
     middle, spread = GAIN
-    found = fit_feedback(train, val, a.order, a.gamma, a.epsilon, middle * np.exp(spread * random.standard_normal()))
+    gain = middle * np.exp(spread * random.standard_normal())
+    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain)
     if found is None:
         return False
     feedback, x = found

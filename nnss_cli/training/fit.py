@@ -17,7 +17,7 @@ from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.warm import warm_start
+from nnss_cli.training.warm import linear_start, warm_start
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ def train_nnss(
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, data.scaling, data.channels, data.Ts)
     model.initialise(named_random(seed, "weights"))
-    if recipe.initial == "linear" or (
-        recipe.initial == "feedback" and not feedback_start(model, train, val, named_random(seed, "feedback"))
-    ):
-        warm_start(model, train, val)
+    if recipe.initial != "random":
+        linear = linear_start(train, val, order, recipe.gamma)
+        if recipe.initial == "linear" or not feedback_start(model, linear, train, val, named_random(seed, "feedback")):
+            warm_start(model, linear)
     engine = build_engine(model, u, y, recipe)
 
     batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1

@@ -8,7 +8,7 @@ model that one likes. Training then begins at that model's error and leaves line
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 import torch
@@ -24,9 +24,10 @@ from nnss_cli.training.encoder import Layers, set_encoder
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
 
 
-def linear_start(
-    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float
-) -> tuple[LinearStateSpace, FloatArray]:
+LinearStart: TypeAlias = tuple[LinearStateSpace, FloatArray]
+
+
+def linear_start(train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float) -> LinearStart:
     """SSEST's model with ρ(A) < γ, in the basis in which its states over the training records have unit covariance.
 
     Returns:
@@ -50,18 +51,17 @@ def linear_start(
     return scaled, initial
 
 
-def warm_start(model: NNSS, train: tuple[Record, ...], val: tuple[Record, ...]) -> None:
+def warm_start(model: NNSS, linear: LinearStart) -> None:
     """Set the last layers of `model` such that it simulates like SSEST's; the layers before keep their weights.
 
     The encoder gets the map from y(0) to the initial state from which the linear model is scored.
 
     Args:
         model: initialised weights, changed in place.
-        train: experiments in normalised units.
-        val: validation experiments, for SSEST's choice among its optima.
+        linear: of `linear_start`.
     """
     a = model.architecture
-    start, E = linear_start(train, val, a.order, a.gamma)
+    start, E = linear
     A = start.A
     if a.stability == "contraction":
         T = contracting_basis(A, a.gamma)

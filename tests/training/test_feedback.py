@@ -16,6 +16,7 @@ from nnss_cli.training.engine import free_run_rmse
 from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.feedback import Feedback, Problem, feedback_start, fit_feedback
 from nnss_cli.training.recipe import Recipe
+from nnss_cli.training.warm import linear_start
 
 
 def plant(random: np.random.Generator, n: int, r: int, m: int, size: float) -> Feedback:
@@ -85,7 +86,7 @@ def records() -> tuple[Record, Record]:
 
 def test_friction_is_found(records: tuple[Record, Record]) -> None:
     train, val = records
-    found = fit_feedback((train,), (val,), 2, 1.0, 1e-5, gain=2.0)
+    found = fit_feedback(linear_start((train,), (val,), 2, 1.0), (train,), (val,), 1.0, 1e-5, gain=2.0)
     assert found is not None
     model, x = found
     assert np.sqrt(np.mean((x @ model.C.T - train.y) ** 2)) < 0.05
@@ -102,7 +103,8 @@ def test_the_network_simulates_like_the_model_it_was_regressed_on(
     unit = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
     model = NNSS(a, unit, Channels(("u",), ("y",), ("",), ("",)), 1.0)
     model.initialise(np.random.default_rng(0))
-    assert feedback_start(model, (train,), (val,), np.random.default_rng(1))
+    linear = linear_start((train,), (val,), 2, 1.0)
+    assert feedback_start(model, linear, (train,), (val,), np.random.default_rng(1))
     zero = np.zeros((1, 3, 1))
     error = free_run_rmse(FastEngine(model, zero, zero, Recipe(dtype="float64")), (val,))
     assert error < 0.5 * simulation_rms(ssest((train,), (val,), 2), (val,))
@@ -116,5 +118,5 @@ def test_a_linear_plant_gets_no_feedback() -> None:
     system = LinearStateSpace(np.array([[0.9]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
     u = random.standard_normal((2, 60, 1))
     train, val = (Record(v, system.simulate(v, np.zeros(1))[0], 1.0) for v in u)
-    found = fit_feedback((train,), (val,), 1, 1.0, 1e-5, gain=2.0)
+    found = fit_feedback(linear_start((train,), (val,), 1, 1.0), (train,), (val,), 1.0, 1e-5, gain=2.0)
     assert found is None or np.abs(found[0].F).max() < 1e-3

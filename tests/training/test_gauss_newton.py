@@ -18,7 +18,7 @@ from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.warm import warm_start
+from nnss_cli.training.warm import linear_start, warm_start
 
 
 def make(architecture: Architecture, seed: int = 0) -> NNSS:
@@ -95,7 +95,7 @@ def test_a_warm_start_simulates_like_ssest(gamma: float, stability: str) -> None
     train, val = data.normalised()
     train, val = (train[0][:400],), (val[0][:200],)
     model = make(Architecture(2, 1, 1, (9,), (3,), gamma=gamma, dtype="float64", stability=stability))
-    warm_start(model, train, val)
+    warm_start(model, linear_start(train, val, 2, gamma))
     linear = ssest(train, val, 2)
     assert linear.spectral_radius() < gamma
     engine = FastEngine(model, np.zeros((1, 3, 1)), np.zeros((1, 3, 1)), Recipe())
@@ -114,7 +114,7 @@ def test_a_warm_start_is_never_worse_on_validation_than_it_began() -> None:
     training = train_nnss(data, 2, 0, recipe)
     started = make(recipe.architecture(2, 1, 1))
     started.initialise(named_random(0, "weights"))
-    warm_start(started, train, val)
+    warm_start(started, linear_start(train, val, 2, 1.0))
     zero = np.zeros((1, 3, 1))
     begun, ended = (free_run_rmse(FastEngine(model, zero, zero, recipe), val) for model in (started, training.model))
     assert ended <= begun
