@@ -1,5 +1,7 @@
 """The start with feedback from the outputs: derivatives, contracting basis, the network regressed on it."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -8,14 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
+from nnss_cli.datasets import robotarm
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.engine import free_run_rmse
+from nnss_cli.training.encoder import regress_encoder
 from nnss_cli.training.fast import FastEngine
-from nnss_cli.training.feedback import Feedback, Problem, feedback_start, fit_feedback
-from nnss_cli.training.recipe import Recipe
+from nnss_cli.training.feedback import GAIN, Feedback, Problem, feedback_start, fit_feedback
+from nnss_cli.training.fit import train_nnss
+from nnss_cli.training.recipe import Recipe, recipe_of
 from nnss_cli.training.warm import linear_start
 
 
@@ -71,7 +75,7 @@ def test_a_point_that_diverges_has_no_finite_error() -> None:
 def records() -> tuple[Record, Record]:
     """A drive with dry friction: resonance, saturated feedback from the measured speed, a little noise."""
     model = Feedback(
-        np.array([[0.97, 0.15], [-0.15, 0.95]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.0]]),
+        np.array([[0.99, 0.12], [-0.12, 0.985]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.0]]),
         np.array([[-0.12], [0.0]]), np.array([[3.0, 0.0]]),
     )  # fmt: skip
     random = np.random.default_rng(4)
@@ -105,9 +109,17 @@ def test_the_network_simulates_like_the_model_it_was_regressed_on(
     model.initialise(np.random.default_rng(0))
     linear = linear_start((train,), (val,), 2, 1.0)
     assert feedback_start(model, linear, (train,), (val,), np.random.default_rng(1))
+    middle, spread = GAIN
+    gain = middle * np.exp(spread * np.random.default_rng(1).standard_normal())
+    found = fit_feedback(linear, (train,), (val,), 1.0, a.epsilon, gain)
+    assert found is not None
+    feedback, x = found
+    E, e = regress_encoder(train.y, x)
+    expected = feedback.states(val.u, E @ val.y[0] + e) @ feedback.C.T
     zero = np.zeros((1, 3, 1))
-    error = free_run_rmse(FastEngine(model, zero, zero, Recipe(dtype="float64")), (val,))
-    assert error < 0.5 * simulation_rms(ssest((train,), (val,), 2), (val,))
+    ours = FastEngine(model, zero, zero, Recipe(dtype="float64")).free_run(val.u, val.y[0])
+    assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.01
+    assert np.sqrt(np.mean((ours - val.y) ** 2)) < 0.5 * simulation_rms(linear[0], (val,))
     rho = torch.zeros(1, a.scheduling_size, dtype=torch.float64)
     W, V, _, _ = model.matrices(rho)
     assert np.abs(np.linalg.eigvals(model.state_matrix(W, V)[0].detach().numpy())).max() < 1
@@ -120,3 +132,12 @@ def test_a_linear_plant_gets_no_feedback() -> None:
     train, val = (Record(v, system.simulate(v, np.zeros(1))[0], 1.0) for v in u)
     found = fit_feedback(linear_start((train,), (val,), 1, 1.0), (train,), (val,), 1.0, 1e-5, gain=2.0)
     assert found is None or np.abs(found[0].F).max() < 1e-3
+
+
+def test_the_robot_arm_gains_by_it(mirror: Path) -> None:
+    """SSEST has 2.664 on validation; `nnss train robotarm --order 5` gave 2.61."""
+    data = robotarm.load(mirror / "RobotArm.mat", "paper").fitting
+    recipe = recipe_of("best", "robotarm", 5).replace(epochs=1)
+    training = train_nnss(data, 5, 0, recipe)
+    y = training.model.simulate(data.val[0].u, data.val[0].y[0]).y
+    assert np.sqrt(np.mean((y - data.val[0].y) ** 2)) < 2.64
