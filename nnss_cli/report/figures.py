@@ -31,7 +31,7 @@ STYLE: Any = {
     "svg.hashsalt": "nnss",  # equal data, equal file
 }  # fmt: skip
 
-FLAT = 0.02  # of the panel's height: a box below it would be all outline
+FLAT = 0.02  # of the panel's height: boxes below it would be all outline
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,8 @@ def draw_boxplot(
             1, len(values), figsize=(max(4.6, 3.4 * len(values)), 3.4), squeeze=False, layout="constrained"
         )
         methods = list(dict.fromkeys(method for by_method in values.values() for method in by_method))
-        boxed = set()
+        boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
         for panel, (output, by_method) in zip(panels[0], values.items(), strict=True):
-            everything = [value for by_order in by_method.values() for sample in by_order.values() for value in sample]
-            tall = FLAT * _span(everything)
             orders = sorted({order for by_order in by_method.values() for order in by_order})
             width = 0.8 / max(1, len(methods))
             for index, method in enumerate(methods):
@@ -103,8 +101,7 @@ def draw_boxplot(
                 for position, order in enumerate(orders):
                     sample = by_method.get(method, {}).get(order, [])
                     at = position + (index - (len(methods) - 1) / 2) * width
-                    if sample and _span(np.quantile(sample, [0.25, 0.75])) > tall:
-                        boxed.add(method)
+                    if sample and method in boxed:
                         box = panel.boxplot(
                             [sample], positions=[at], widths=0.85 * width, patch_artist=True,
                             medianprops={"color": "black", "linewidth": 1.4},
@@ -112,7 +109,7 @@ def draw_boxplot(
                         )  # fmt: skip
                         box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
                     elif sample:
-                        # too flat a box to show a colour: a marker of the method's own, and the range behind it
+                        # boxes too flat to show a colour: a marker of the method's own, and the range behind it
                         panel.plot([at, at], [min(sample), max(sample)], color="black", linewidth=1)
                         panel.plot(
                             at, np.median(sample), look.marker, color=look.colour, markersize=6, markeredgecolor="black"
@@ -127,6 +124,13 @@ def draw_boxplot(
         figure.legend(handles=handles, loc="outside lower center", ncols=3 if len(values) == 1 else len(handles))
         figure.suptitle(title, fontsize=10)
     return figure
+
+
+def _has_boxes(by_method: Mapping[str, Mapping[int, Sequence[float]]], method: str) -> bool:
+    """Whether a box of the method would be high enough to show a colour, on a panel of these values."""
+    everything = [value for by_order in by_method.values() for sample in by_order.values() for value in sample]
+    quartiles = [np.quantile(sample, [0.25, 0.75]) for sample in by_method.get(method, {}).values() if sample]
+    return max(map(_span, quartiles), default=0.0) > FLAT * _span(everything)
 
 
 def _span(values: Sequence[float] | FloatArray) -> float:
@@ -160,7 +164,7 @@ def _few_log_ticks(panel: Any) -> None:
     else:
         subs = tuple(np.arange(1.0, 10.0, 1.0 if high / low > 1.6 else 0.5))
     panel.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.yaxis.set_minor_formatter(NullFormatter())
 
 
