@@ -23,8 +23,8 @@ from nnss_cli.training.encoder import Layers, set_encoder
 
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
 
-
 LinearStart: TypeAlias = tuple[LinearStateSpace, FloatArray]
+"""A linear model in normalised units, and the matrix (n, m) that takes y(0) to its x(0)."""
 
 
 def linear_start(train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float) -> LinearStart:
