@@ -54,6 +54,8 @@ class Fit:
     """Why an iterative method was given up, or ""."""
     history: dict[str, list[float]] = field(default_factory=dict)
     """Values per epoch, by name."""
+    remarks: tuple[str, ...] = ()
+    """What a reader of the result should know of the fit, such as that the start was kept."""
 
 
 class Method(Protocol):
@@ -63,6 +65,10 @@ class Method(Protocol):
     """Name on the command line and in tables."""
     seeded: bool
     """Whether the result depends on the seed; others run once, as seed 0."""
+    version: str = "1"
+    """To be raised whenever the same settings give other numbers: runs of different versions are not mixed."""
+    members: str = ""
+    """Name of the method whose runs it combines; "" for one that fits by itself."""
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Every option of a fit, resolved: it is kept with the run and decides whether one can be reused.
@@ -72,6 +78,10 @@ class Method(Protocol):
         """
         ...
 
+    def paper_settings(self, dataset: str, order: int) -> Settings | None:
+        """The settings with which the paper uses this method; None where it does not."""
+        return None
+
     def prepare(self, settings: Settings) -> None:
         """Do once what is no part of a fit's time: compile, import."""
         ...
@@ -79,6 +89,10 @@ class Method(Protocol):
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Fit a model. `data` holds no test record."""
         ...
+
+    def combine(self, members: Sequence[Any], data: FittingData) -> Fit:
+        """One model of the models of several seeds, at least one; only asked of a method with `members`."""
+        raise NotImplementedError(f"{self.name} combines no runs")
 
 
 def check_window(window: int, data: FittingData) -> None:
@@ -95,7 +109,7 @@ def check_window(window: int, data: FittingData) -> None:
         )
 
 
-class NNSS:
+class NNSS(Method):
     """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`, with one of its recipes."""
 
     seeded = True
@@ -112,10 +126,19 @@ class NNSS:
         own = {f.name for f in fields(Recipe)}
         changes = {name: value for name, value in overrides.items() if name in own}
         name = self.recipe or str(overrides.get("recipe", "best"))
-        recipe = recipe_of(name, data.dataset, order).replace(**changes)
+        known = recipe_of(name, data.dataset, order)
+        recipe = known.replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(recipe.window, data)
-        return asdict(recipe) | {"recipe": name}
+        # the label is the recipe's only where every field is; engines compute the same
+        changed = [f for f in own if f != "engine" and getattr(recipe, f) != getattr(known, f)]
+        return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
+
+    def paper_settings(self, dataset: str, order: int) -> Settings:
+        """The paper's recipe."""
+        from nnss_cli.training.recipe import paper_recipe
+
+        return asdict(paper_recipe(dataset, order)) | {"recipe": "paper"}
 
     def prepare(self, settings: Settings) -> None:
         """Compile the fast engine, or read it from numba's cache."""
@@ -162,7 +185,7 @@ def subspace_model(data: FittingData, order: int, horizon: str) -> LinearStateSp
     return n4sid(train, order) if horizon == "matlab" else n4sid_auto(train, val, order)[0]
 
 
-class N4SID:
+class N4SID(Method):
     """Subspace identification; see `nnss_cli.baselines.n4sid`."""
 
     name = "n4sid"
@@ -171,6 +194,10 @@ class N4SID:
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """How the horizons are chosen."""
         return {"horizon": chosen_horizon(data, overrides)}
+
+    def paper_settings(self, dataset: str, order: int) -> Settings:
+        """MATLAB's horizons."""
+        return {"horizon": "matlab"}
 
     def prepare(self, settings: Settings) -> None:
         """Import it."""
@@ -183,7 +210,7 @@ class N4SID:
         return Fit(LinearModel.of(subspace_model(data, order, settings["horizon"]), data))
 
 
-class SSEST:
+class SSEST(Method):
     """Prediction-error minimisation; see `nnss_cli.baselines.ssest`."""
 
     name = "ssest"
@@ -192,6 +219,10 @@ class SSEST:
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Whether D is estimated."""
         return {"feedthrough": bool(overrides.get("feedthrough", False))}
+
+    def paper_settings(self, dataset: str, order: int) -> Settings:
+        """Without D."""
+        return {"feedthrough": False}
 
     def prepare(self, settings: Settings) -> None:
         """Import it."""
@@ -206,7 +237,7 @@ class SSEST:
         return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"]), data))
 
 
-class SSREGEST:
+class SSREGEST(Method):
     """Regularised ARX, reduced; see `nnss_cli.baselines.ssregest`."""
 
     name = "ssregest"
@@ -221,6 +252,10 @@ class SSREGEST:
             raise unknown("kernel", kernel, KERNELS)
         return {"kernel": kernel}
 
+    def paper_settings(self, dataset: str, order: int) -> Settings:
+        """MATLAB's default kernel."""
+        return {"kernel": "tc"}
+
     def prepare(self, settings: Settings) -> None:
         """Import it."""
         import nnss_cli.baselines.ssregest  # noqa: F401
@@ -234,7 +269,7 @@ class SSREGEST:
         return Fit(LinearModel.of(ssregest(train, order, settings["kernel"]), data))
 
 
-class SIMBa:
+class SIMBa(Method):
     """A stable linear model trained by gradient; see `nnss_cli.baselines.simba`."""
 
     name = "simba"
@@ -272,32 +307,31 @@ class SIMBa:
         return Fit(model, training.epochs, training.diverged, training.history)
 
 
-class Ensemble:
+class Ensemble(Method):
     """The mean of the simulated outputs of the seeds of NN-SS that validate better."""
 
     name = "nnss-ensemble"
     seeded = False
-    of = "nnss"
-    """Its members' method."""
+    members = "nnss"
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Those of the members."""
-        return METHODS[self.of].settings(data, order, overrides)
+        return METHODS[self.members].settings(data, order, overrides)
 
     def prepare(self, settings: Settings) -> None:
         """Import what members need."""
-        METHODS[self.of].prepare(settings)
+        METHODS[self.members].prepare(settings)
 
     def combine(self, members: Sequence[Any], data: FittingData) -> Fit:
         """Choose among models of several seeds, on validation."""
         from nnss_cli.model.ensemble import Ensemble as Mean
 
-        return Fit(Mean.chosen(members, data) if members else None)
+        return Fit(Mean.chosen(members, data))
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train one member and take it alone; `combine` is for those that are trained already."""
-        trained = METHODS[self.of].fit(data, order, seed, settings, on_epoch)
-        return self.combine([trained.model] if trained.model else [], data)
+        trained = METHODS[self.members].fit(data, order, seed, settings, on_epoch)
+        return self.combine([trained.model], data) if trained.model else trained
 
 
 _ALL: tuple[Method, ...] = (

@@ -34,7 +34,7 @@ def command(
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
     from nnss_cli.report.build import write_comparison
-    from nnss_cli.report.tables import failures, terminal_rows
+    from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
 
     workers = opt.check_counts(seeds, jobs)
     chosen = select(methods or [])
@@ -45,10 +45,12 @@ def command(
     require_writable(store.folder)
     engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(
-        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {todo.done} done already"
+        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
         + (f" (NN-SS engine: {', '.join(engines)})" if engines else ""),
         highlight=False,
     )
+    for line in todo.made_elsewhere():
+        console.print(f"Note: {line}", soft_wrap=True, highlight=False)
     with RunProgress(todo.todo) as progress:
         try:
             sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result)
@@ -60,11 +62,16 @@ def command(
                 "the same command goes on from here"
             ) from None
     files = write_comparison(store)
-    results = store.results()
-    print_rows(
-        terminal_rows(results), f"{dataset}, protocol {protocol}: RMSE, median over seeds; best: chosen on validation"
-    )
-    for line in [*(f"Note: {note}" for note in data.notes), *failures(results)]:
+    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
+    asked = [result for result in store.results() if result.spec.label in labels]
+    print_rows(terminal_rows(asked), terminal_title(asked))
+    combinations = terminal_rows(asked, apart=True)
+    if combinations:
+        print_rows(combinations, "Made of runs of this folder, so no independent competitor")
+    others = len(store.results()) - len(asked)
+    if others:
+        console.print(f"{others} other runs in this folder are in its files, not in this table.", highlight=False)
+    for line in [*(f"Note: {note}" for note in data.notes), *failures(asked), *remarks(asked)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import os
+import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -146,6 +147,18 @@ def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
     wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
     wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapper
+
+
+def as_command_line(settings: dict[str, Any]) -> str:
+    """The options that give these settings, in full precision: what `with_fit_options` would turn back into them."""
+    parts = []
+    for name, value in settings.items():
+        option = get_args(FIT_OPTIONS[name])[1].param_decls[0]
+        if isinstance(value, bool):
+            parts += [option] * value
+        else:
+            parts += [option, *map(str, value if isinstance(value, tuple) else (value,))]
+    return shlex.join(parts)
 
 
 def check_counts(seeds: int, jobs: int | None) -> int:

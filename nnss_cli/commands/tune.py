@@ -36,7 +36,7 @@ def command(
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import check_order
-    from nnss_cli.experiment.tune import Trial, options_of, tune
+    from nnss_cli.experiment.tune import Trial, tune
     from nnss_cli.files import require_writable
     from nnss_cli.report.tables import trial_rows
 
@@ -54,6 +54,8 @@ def command(
     found = tune(data.fitting, order, trials, sampler, seed, changes or {}, storage, tell)
     print_rows(trial_rows(found[:10]), f"{dataset}, protocol {protocol}, order {order}: best of {len(found)} trials")
     if found[0].state == "complete":
-        line = f"nnss train {dataset} --order {order} --seed {seed} {options_of(found[0].values)}"
+        protocol_option = "" if protocol == "paper" else f" --protocol {protocol}"
+        options = opt.as_command_line(found[0].settings)
+        line = f"nnss train {dataset} --order {order} --seed {seed}{protocol_option} {options}"
         console.print("Train the best one:", line, soft_wrap=True, highlight=False)
     console.print(str(storage), soft_wrap=True, highlight=False)

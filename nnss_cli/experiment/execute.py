@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib import metadata
 
@@ -14,9 +14,15 @@ from nnss_cli.datasets.record import Dataset
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
 from nnss_cli.iterative import EpochCallback
-from nnss_cli.methods import METHODS, Ensemble, Fit, Model, load_model
+from nnss_cli.methods import METHODS, Fit, Method, Model, load_model
 from nnss_cli.modelfile import Tensors
 from nnss_cli.version import __version__
+
+LIBRARIES = ("numpy", "scipy", "torch", "numba")
+"""Those whose version may change a number's last digits."""
+
+# Singular, too short, out of range. torch's errors of linear algebra are RuntimeErrors.
+NUMERICAL = (ValueError, ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
 
 def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallback | None = None) -> RunResult:
@@ -29,39 +35,64 @@ def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallba
     fit = Fit(None)
     method = METHODS[spec.method]
     method.prepare(spec.settings)
-    trained = 0.0  # seconds that an ensemble's members have taken
+    trained = 0.0  # seconds that the members of a combination have taken
     started = time.perf_counter()
     try:
-        if isinstance(method, Ensemble) and "members" in spec.settings:
-            wanted = {(method.of, spec.order, seed) for seed in spec.settings["members"]}
-            members = [
-                r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) in wanted and r.status == "ok"
-            ]
-            fit = method.combine([load_model(store.run_folder(r.spec)) for r in members], dataset.fitting)
-            trained = sum(r.fit_seconds for r in members)
+        if "members" in spec.settings:
+            members = _members(spec, store)
+            fit = combined(method, members, dataset, store)
+            trained = sum(member.fit_seconds for member in members)
         else:
             fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
         if fit.diverged:
             status, reason = "diverged", fit.diverged
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # singular, too short, out of range
-        status, reason = "failed", " ".join(str(error).split())
+        elif fit.model is None:
+            status, reason = "failed", "the method gave no model and no reason"
+    except NUMERICAL as error:
+        status, reason = "failed", _sentence(error)
     fit_seconds = time.perf_counter() - started + trained
     if fit.model is not None:
-        scores, signals = simulate_splits(fit.model, dataset)
-        bad = [score.split for score in scores if not np.isfinite(score.rmse)]
-        if bad:
-            status, reason = (
-                "diverged",
-                f"the simulation of {', '.join(dict.fromkeys(bad))} left the finite range",
-            )
+        try:
+            scores, signals = simulate_splits(fit.model, dataset)
+            bad = [score.split for score in scores if not np.isfinite(score.rmse)]
+            if bad:
+                status, reason = (
+                    "diverged",
+                    f"the simulation of {', '.join(dict.fromkeys(bad))} left the finite range",
+                )
+        except NUMERICAL as error:
+            status, reason = "failed", f"its simulation failed: {_sentence(error)}"
+        if status != "ok":
             scores = []
         fit.model.save(store.run_folder(spec))
     result = RunResult(
         spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), provenance(), fit.history,
-        asdict(dataset.fitting.channels), dataset.notes,
+        asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
     )  # fmt: skip
     store.write(result, signals)
     return result
+
+
+def _members(spec: RunSpec, store: Store) -> list[RunResult]:
+    """The finished runs that a combination was planned with, by seed."""
+    wanted = {(METHODS[spec.method].members, spec.order, seed) for seed in spec.settings["members"]}
+    return [r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) in wanted]
+
+
+def combined(method: Method, members: list[RunResult], dataset: Dataset, store: Store) -> Fit:
+    """What a method makes of other runs. Those without a model are left out, and that is said."""
+    sound = [member for member in members if member.status == "ok"]
+    lost = [f"seed {member.spec.seed} {member.status}" for member in members if member.status != "ok"]
+    if not sound:
+        return Fit(None, diverged=f"none of its {len(members)} members has a model: {', '.join(lost) or 'none ran'}")
+    fit = method.combine([load_model(store.run_folder(member.spec)) for member in sound], dataset.fitting)
+    if lost:
+        fit = replace(fit, remarks=(*fit.remarks, f"{len(lost)} of {len(members)} members left out: {', '.join(lost)}"))
+    return fit
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensors]:
@@ -85,7 +116,7 @@ def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensor
 
 def provenance() -> dict[str, str]:
     """Where a number came from: versions, machine, time."""
-    versions = {name: metadata.version(name) for name in ("numpy", "scipy", "torch")}
+    versions = {name: metadata.version(name) for name in LIBRARIES}
     return {
         "nnss": __version__,
         "python": platform.python_version(),

@@ -31,6 +31,8 @@ class RunSpec:
     """Every option of the fit, resolved."""
     data: str
     """Fingerprint of the samples and statistics."""
+    version: str = ""
+    """Version of the method."""
 
     @property
     def label(self) -> str:
@@ -78,6 +80,8 @@ class RunResult:
     """Names and units, for figures."""
     notes: tuple[str, ...] = ()
     """What a reader of the scores must know about the split."""
+    remarks: tuple[str, ...] = ()
+    """What the fit has to tell, such as that the start was kept."""
 
     def renamed(self, method: str) -> RunResult:
         """The same result under another method's name."""
@@ -97,6 +101,7 @@ class RunResult:
         scores = tuple(Score(**score) for score in content["scores"])
         return cls(**content | {
             "spec": RunSpec(**content["spec"]), "scores": scores, "notes": tuple(content["notes"]),
+            "remarks": tuple(content.get("remarks", ())),
         })  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.files import write_text
 from nnss_cli.modelfile import Tensors, read_tensors, write_tensors
+from nnss_cli.version import __version__
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,11 @@ class Store:
                 continue
             if other.data != spec.data:
                 return "another version of the data"
+            made = result.provenance.get("nnss", "unknown")
+            if made != __version__:
+                return f"nnss {made} instead of {__version__}"
+            if other.version != spec.version:
+                return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
             changed = [
                 f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
                 for name in spec.settings | other.settings

@@ -5,19 +5,20 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.queues import SimpleQueue
 from typing import Any
 
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.execute import LIBRARIES, execute, provenance
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
-from nnss_cli.methods import METHODS, Ensemble, Method, Settings
+from nnss_cli.methods import METHODS, Method, Settings
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,19 @@ class Plan:
 
     todo: list[RunSpec]
     """Runs to execute."""
-    done: int
+    done: list[RunResult]
     """Runs that were asked for and are finished already."""
+
+    def made_elsewhere(self) -> list[str]:
+        """A line for each library whose version was another one when a finished run was made, and for the machine."""
+        here = provenance()
+        lines = []
+        for name in (*LIBRARIES, "python", "machine"):
+            others = Counter(made for r in self.done if (made := r.provenance.get(name, "unknown")) != here[name])
+            lines += [
+                f"{count} of the finished runs: {name} {made}, here {here[name]}" for made, count in others.items()
+            ]
+        return lines
 
 
 @dataclass(frozen=True)
@@ -70,47 +82,51 @@ def plan(
 ) -> Plan:
     """List the runs that are missing. Failed ones count as missing, diverged ones as results.
 
-    An ensemble brings its members along, and is made again when they change.
+    A combination brings its members along: the seeds asked for, and those on disk with the same options, so
+    that it never stands beside rows of more seeds than it was made of. It is made again when they change.
 
     Raises:
-        InputError: an order or option is out of range, or there are runs with other options that
-            must not be mixed with these.
+        InputError: an order or option is out of range, or there are runs with other options, data or versions
+            that must not be mixed with these.
     """
     existing = store.results()
     finished = {r.spec.label: r for r in existing if r.status != "failed"}
     data = dataset.fingerprint()
     todo: list[RunSpec] = []
-    done = 0
-    members = [METHODS[method.of] for method in methods if isinstance(method, Ensemble)]
+    done: list[RunResult] = []
+
+    def first(method: Method, order: int) -> RunSpec:
+        settings = method.settings(dataset.fitting, order, overrides)
+        return RunSpec(store.dataset, store.protocol, method.name, order, 0, settings, data, method.version)
+
+    members = [METHODS[method.members] for method in methods if method.members]
     methods = [*(method for method in members if method not in methods), *methods]
     for order in dict.fromkeys(orders):
         check_order(order, dataset.fitting)
         for method in methods:
-            settings = method.settings(dataset.fitting, order, overrides)
-            if isinstance(method, Ensemble):
-                ensemble = settings | {"members": list(seeds)}
-                spec = RunSpec(store.dataset, store.protocol, method.name, order, 0, ensemble, data)
-                retrained = any((s.method, s.order) == (method.of, order) for s in todo)
-                if force or retrained or spec.label not in finished or store.conflict(spec, existing):
-                    todo.append(spec)
-                else:
-                    done += 1
-                continue
-            for seed in seeds if method.seeded else [0]:
-                spec = RunSpec(store.dataset, store.protocol, method.name, order, seed, settings, data)
-                if force:
-                    todo.append(spec)
-                    continue
-                difference = store.conflict(spec, existing)
+            spec = first(method, order)
+            if method.members:
+                member = first(METHODS[method.members], order)
+                own = [r for r in existing if (r.spec.method, r.spec.order) == (member.method, order)]
+                kept = {r.spec.seed for r in own if not store.conflict(member, [r])}
+                spec = replace(spec, settings=spec.settings | {"members": sorted(kept | set(seeds))})
+                retrained = any((s.method, s.order) == (member.method, order) for s in todo)
+                outdated = force or retrained or store.conflict(spec, existing)
+                chosen = [spec]
+            else:
+                outdated = force
+                chosen = [replace(spec, seed=seed) for seed in (seeds if method.seeded else [0])]
+                difference = "" if force else store.conflict(spec, existing)
                 if difference:
                     raise InputError(
                         f"'{store.folder}' holds runs of {method.name}, order {order}, with {difference}: "
                         "take another folder with --out, or --force to replace them"
                     )
-                if spec.label in finished:
-                    done += 1
+            for one in chosen:
+                if outdated or one.label not in finished:
+                    todo.append(one)
                 else:
-                    todo.append(spec)
+                    done.append(finished[one.label])
     if force:
         _discard_replaced(store, todo, existing)
     return Plan(todo, done)
@@ -140,14 +156,14 @@ def sweep(
         KeyboardInterrupt: finished runs stay, the others are missing.
         InputError: a worker process was killed from outside.
     """
-    ensembles = [spec for spec in specs if isinstance(METHODS[spec.method], Ensemble)]
-    trained = [spec for spec in specs if spec not in ensembles]
+    combinations = [spec for spec in specs if METHODS[spec.method].members]
+    trained = [spec for spec in specs if spec not in combinations]
     if jobs == 1 or len(trained) <= 1:
         for spec in trained:
             on_result(_reported(spec, dataset, store, on_event))
     else:
         _side_by_side(trained, dataset, store, jobs, on_event, on_result)
-    for spec in ensembles:
+    for spec in combinations:
         on_result(_reported(spec, dataset, store, on_event))
 
 

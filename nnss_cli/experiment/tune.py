@@ -28,28 +28,50 @@ class Trial:
     """complete, pruned or fail."""
     val_rmse: float
     """Lowest validation error, normalised units; of a pruned trial, as far as it came."""
-    values: dict[str, Any]
-    """What was searched."""
+    settings: Settings
+    """What was searched and what was given: the options that train it."""
 
 
-def suggest(trial: optuna.Trial, shortest: int) -> Settings:
-    """Widths, depths, λ, learning rate and window, as the paper's Bayesian optimisation varies them."""
-    depth = trial.suggest_int("depth", 1, 6)
-    width = trial.suggest_int("width", 8, 200, log=True)
-    encoder_depth = trial.suggest_int("encoder_depth", 1, 4)
-    encoder_width = trial.suggest_int("encoder_width", 4, 128, log=True)
-    window = trial.suggest_int("window", min(20, shortest), min(400, shortest), log=True)
-    return {
-        "hidden": (width,) * depth,
-        "encoder": (encoder_width,) * encoder_depth,
-        "consistency": trial.suggest_float("lambda", 1e-4, 1.0, log=True),
-        "learning_rate": trial.suggest_float("learning_rate", 1e-4, 1e-2, log=True),
-        "window": window,
-        "stride": max(1, window // 20),
-        "batch": trial.suggest_categorical("batch", [1, 8, 32, 64]),
-        "optimiser": "adam",
-        "initial": "random",
-    }
+def draw(trial: optuna.Trial, shortest: int, given: Settings) -> dict[str, Any]:
+    """Widths, depths, λ, learning rate and window, as the paper's Bayesian optimisation varies them, where not given.
+
+    Args:
+        trial: draws the values.
+        shortest: samples of the shortest training record.
+        given: settings that are not searched.
+    """
+    values: dict[str, Any] = {}
+    if "hidden" not in given:
+        values |= {"depth": trial.suggest_int("depth", 1, 6), "width": trial.suggest_int("width", 8, 200, log=True)}
+    if "encoder" not in given:
+        values["encoder_depth"] = trial.suggest_int("encoder_depth", 1, 4)
+        values["encoder_width"] = trial.suggest_int("encoder_width", 4, 128, log=True)
+    if "window" not in given:
+        values["window"] = trial.suggest_int("window", min(20, shortest), min(400, shortest), log=True)
+    if "consistency" not in given:
+        values["consistency"] = trial.suggest_float("consistency", 1e-4, 1.0, log=True)
+    if given.get("optimiser", "adam") == "adam":
+        if "learning_rate" not in given:
+            values["learning_rate"] = trial.suggest_float("learning_rate", 1e-4, 1e-2, log=True)
+        if "batch" not in given:
+            values["batch"] = trial.suggest_categorical("batch", [1, 8, 32, 64])
+    return values
+
+
+def settings_of(values: dict[str, Any], given: Settings) -> Settings:
+    """The settings that values of a search stand for, with those that were given."""
+    found: Settings = {"optimiser": "adam", "initial": "random"}
+    for name, value in values.items():
+        if name == "depth":
+            found["hidden"] = (values["width"],) * value
+        elif name == "encoder_depth":
+            found["encoder"] = (values["encoder_width"],) * value
+        elif name not in ("width", "encoder_width"):
+            found[name] = value
+    found |= given
+    if "window" in found and "stride" not in given:
+        found["stride"] = max(1, found["window"] // 20)
+    return found
 
 
 def tune(
@@ -88,6 +110,8 @@ def tune(
         raise unknown("sampler", sampler, SAMPLERS)
     method = METHODS["nnss"]
     shortest = min(len(record) for record in data.train)
+    if {"hidden", "encoder", "window", "consistency", "learning_rate", "batch"} <= overrides.keys():
+        raise InputError("tune: every option that it searches is given; leave one of them out, or use 'nnss train'")
     about = {
         "dataset": data.dataset,
         "protocol": data.protocol,
@@ -115,7 +139,7 @@ def tune(
     study.set_user_attr("about", about)
 
     def objective(trial: optuna.Trial) -> float:
-        settings = method.settings(data, order, suggest(trial, shortest) | overrides)
+        settings = method.settings(data, order, settings_of(draw(trial, shortest, overrides), overrides))
         best = math.inf
 
         def after_epoch(epoch: int, _: float, val_rmse: float) -> None:
@@ -133,23 +157,12 @@ def tune(
 
     study.optimize(
         objective, n_trials=trials, catch=(ValueError, ArithmeticError),
-        callbacks=[lambda _, finished: on_trial(_trial(finished))],
+        callbacks=[lambda _, finished: on_trial(_trial(finished, overrides))],
     )  # fmt: skip
-    return sorted((_trial(t) for t in study.trials), key=lambda t: (t.state != "complete", t.val_rmse))
+    return sorted((_trial(t, overrides) for t in study.trials), key=lambda t: (t.state != "complete", t.val_rmse))
 
 
-def options_of(values: dict[str, Any]) -> str:
-    """The command-line options that train what a trial found."""
-    settings = {
-        "--hidden": " ".join([str(values["width"])] * values["depth"]),
-        "--encoder": " ".join([str(values["encoder_width"])] * values["encoder_depth"]),
-        "--lambda": f"{values['lambda']:.3g}", "--learning-rate": f"{values['learning_rate']:.3g}",
-        "--window": values["window"], "--stride": max(1, values["window"] // 20), "--batch": values["batch"],
-    }  # fmt: skip
-    return "--optimiser adam --start random " + " ".join(f"{name} {value}" for name, value in settings.items())
-
-
-def _trial(trial: optuna.trial.FrozenTrial) -> Trial:
+def _trial(trial: optuna.trial.FrozenTrial, given: Settings) -> Trial:
     reached = list(trial.intermediate_values.values())
     value = trial.value if trial.value is not None else min(reached, default=math.inf)
-    return Trial(trial.number, trial.state.name.lower(), float(value), trial.params)
+    return Trial(trial.number, trial.state.name.lower(), float(value), settings_of(trial.params, given))

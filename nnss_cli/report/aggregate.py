@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from importlib import resources
 
@@ -9,8 +10,10 @@ import pandas as pd
 
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
+from nnss_cli.report.statistics import quantile
 
 MEAN = "mean"  # name of the mean over outputs in the output column
+NORMALISED = "mean of RMSE/σ"
 
 COLUMNS = [
     "dataset", "protocol", "method", "order", "seed", "split", "output", "rmse", "nrmse", "fit_percent",
@@ -38,40 +41,75 @@ def long_table(results: Sequence[RunResult]) -> pd.DataFrame:
 def summary(results: Sequence[RunResult]) -> pd.DataFrame:
     """Statistics of the RMSE over seeds, by order, method, split and output.
 
-    Records of several outputs get a further output "mean": the mean over outputs, then the
-    statistics over seeds. `best` is the run that `best_run` picks on validation, on every split.
+    Runs without a result enter medians and quartiles as ∞: `runs` counts all, `ok` those that have one; the mean
+    is nan unless all have. Records of several outputs get two further outputs: "mean" (physical units, as the released
+    models are scored) and "mean of RMSE/σ", on which methods are ranked. `best` is the run that `best_run` picks
+    on validation, on every split.
     """
     scored = long_table([result for result in results if result.status == "ok"])
     if scored.empty:
         return pd.DataFrame()
     if scored["output"].nunique() > 1:
         keys = ["method", "order", "seed", "split"]
-        means = scored.groupby(keys, as_index=False)["rmse"].mean().assign(output=MEAN)
-        scored = pd.concat([scored, means], ignore_index=True)
-    grouped = scored.groupby(["order", "method", "split", "output"])["rmse"]
-    table = grouped.agg(
-        runs="count", mean="mean", median="median", std="std", min="min",
-        q1=lambda v: v.quantile(0.25), q3=lambda v: v.quantile(0.75), max="max",
-    ).reset_index()  # fmt: skip
-    best_seeds = {
-        (method, order): best_run([r for r in results if (r.spec.method, r.spec.order) == (method, order)])
-        for method, order in {(r.spec.method, r.spec.order) for r in results}
-    }
-    values = scored.set_index(["method", "order", "seed", "split", "output"])["rmse"]
-    best, seeds = [], []
-    for row in table.itertuples():
-        run = best_seeds[(row.method, row.order)]
-        assert run is not None  # the row exists, so an ok run does
-        seeds.append(run.spec.seed)
-        best.append(float(values.loc[(row.method, row.order, run.spec.seed, row.split, row.output)]))
-    table["best"], table["best_seed"] = best, seeds
-    return table
+        means = scored.groupby(keys, as_index=False)[["rmse", "nrmse"]].mean()
+        scored = pd.concat(
+            [scored, means.assign(output=MEAN), means.assign(output=NORMALISED, rmse=means["nrmse"])],
+            ignore_index=True,
+        )
+    runs = {key: list(own) for key, own in runs_by_method(results).items()}
+    rows = []
+    for (order, method, split, output), own in scored.groupby(["order", "method", "split", "output"]):
+        everything = runs[(method, order)]
+        failed = sum(run.status != "ok" for run in everything)
+        values = [*own["rmse"], *[math.inf] * failed]
+        best = best_run(everything)
+        assert best is not None  # the row exists, so an ok run does
+        rows.append(
+            {
+                "order": order, "method": method, "split": split, "output": output,
+                "runs": len(everything), "ok": len(everything) - failed,
+                "mean": float(own["rmse"].mean()) if not failed else math.nan,
+                "median": quantile(values, 0.5), "min": min(values), "q1": quantile(values, 0.25),
+                "q3": quantile(values, 0.75), "max": max(values),
+                "best": float(own.loc[own["seed"] == best.spec.seed, "rmse"].iloc[0]), "best_seed": best.spec.seed,
+            }
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def runs_by_method(results: Sequence[RunResult]) -> dict[tuple[str, int], list[RunResult]]:
+    """The runs of each method and order, failed ones too, in the order of orders and methods."""
+    found: dict[tuple[str, int], list[RunResult]] = {}
+    for result in results:
+        found.setdefault((result.spec.method, result.spec.order), []).append(result)
+    return dict(sorted(found.items(), key=lambda item: (item[0][1], item[0][0])))
+
+
+def split_error(result: RunResult, split: str) -> float:
+    """Mean over outputs of RMSE/σ on a split: what runs are ranked by. ∞ for a run without a result there."""
+    errors = [score.nrmse for score in result.scores if score.split == split]
+    return sum(errors) / len(errors) if errors else math.inf
 
 
 def validation_error(result: RunResult) -> float:
-    """Mean over outputs of the normalised validation error: what choices are made on."""
-    errors = [score.nrmse for score in result.scores if score.split == "val"]
-    return sum(errors) / len(errors) if errors else float("inf")
+    """`split_error` on validation: what choices are made on."""
+    return split_error(result, "val")
+
+
+def physical_error(result: RunResult, split: str) -> float:
+    """Mean over outputs of the RMSE in physical units, as the released models are scored; ∞ without a result."""
+    errors = [score.rmse for score in result.scores if score.split == split]
+    return sum(errors) / len(errors) if errors else math.inf
+
+
+def shown_error(result: RunResult, split: str) -> float:
+    """The one figure of a run in short tables: RMSE in physical units of a single output, else `split_error`."""
+    return split_error(result, split) if several_outputs([result]) else physical_error(result, split)
+
+
+def several_outputs(results: Sequence[RunResult]) -> bool:
+    """Whether the records have more than one output."""
+    return any(len(result.channels["outputs"]) > 1 for result in results)
 
 
 def best_run(results: Sequence[RunResult]) -> RunResult | None:
@@ -95,6 +133,11 @@ def methods_of(results: Sequence[RunResult]) -> list[str]:
     known = list(METHODS)
     names = {result.spec.method for result in results}
     return sorted(names, key=lambda name: (known.index(name) if name in known else len(known), name))
+
+
+def is_combination(method: str) -> bool:
+    """Whether a method is made of another one's runs, and so no independent competitor."""
+    return method in METHODS and bool(METHODS[method].members)
 
 
 def scored_split(results: Sequence[RunResult]) -> str:

@@ -13,23 +13,40 @@ from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.ablation import Variant
+from nnss_cli.experiment.execute import LIBRARIES
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
+from nnss_cli.modelfile import Tensors
 from nnss_cli.report import figures
-from nnss_cli.report.aggregate import best_by_method, long_table, methods_of, scored_split
+from nnss_cli.report.aggregate import (
+    best_by_method,
+    long_table,
+    methods_of,
+    runs_by_method,
+    scored_split,
+    several_outputs,
+)
 from nnss_cli.report.evidence import (
     QUIRKS,
-    ahead,
-    blocks,
     intervals,
+    not_the_papers,
     optimism,
     paper_comparison,
-    ranking,
     released_comparison,
 )
-from nnss_cli.report.statistics import critical_difference, mean_ranks
+from nnss_cli.report.standing import (
+    MEANING,
+    combinations,
+    effects,
+    missing_runs,
+    ranking,
+    record_table,
+    too_few,
+    unscored,
+)
+from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
 from nnss_cli.report.tables import SPLIT_NAMES, failures, markdown, rmse_markdown, study_rows
 
 HOUR = 3600.0
@@ -101,26 +118,40 @@ def write_report(out: Path, times: bool = True) -> Path:
 
 
 def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str]:
-    """Methods over all datasets and orders of a protocol; little where fewer than two are complete."""
+    """Methods over all datasets and orders of a protocol, on one split a table."""
     parts = [QUIRKS] if protocol == "paper" else []
-    table = blocks(results)
-    if table.shape[0] < 2 or table.shape[1] < 2:
+    tables = {split: effects(results, split) for split in ("test", "val")}
+    if not any(tables.values()):
         return parts
+    parts += [f"## All datasets, protocol `{protocol}`", MEANING]
+    for split, title in (
+        ("test", "Test"),
+        ("val", "Validation: what methods were stopped and chosen on, so no evidence of how they stand"),
+    ):
+        apart = combinations(results, split)
+        parts.append(f"### {title}\n\n{tables[split] or 'Nothing to compare.'}")
+        if apart:
+            parts.append(f"Combinations of runs, beside the runs that they are made of:\n\n{apart}")
+        parts += _listed("Not in this table", unscored(results, split))
+    parts += _listed("Missing runs", missing_runs(results))
+    table, left_out = record_table(results)
+    parts.append("### Ranks over records")
+    if len(table) < MIN_RECORDS or table.shape[1] < 2:
+        return [*parts, too_few(len(table))]
+    tests = paired_tests(table)
     figure = figures.draw_ranks(
-        mean_ranks(table), critical_difference(table.shape[1], len(table)),
-        f"Mean ranks over {len(table)} dataset-order pairs, protocol {protocol}",
+        mean_ranks(table), [(t.first, t.second) for t in tests if not t.differ],
+        f"Mean ranks over {len(table)} records, protocol {protocol}; a bar joins methods not shown to differ at 5 %",
     )  # fmt: skip
     name = f"ranks-{protocol}.png"
     figures.save_figure(figure, out / name)
     figures.close_figure(figure)
-    standing = ahead(table, blocks(results, "val"))
-    return [
-        *parts,
-        f"## All datasets, protocol `{protocol}`",
-        ranking(table),
-        f"![critical-difference diagram, protocol {protocol}]({name})",
-        *(["NN-SS and the best of the other methods:\n\n" + standing] if standing else []),
-    ]
+    parts += [ranking(table, tests), f"![critical-difference diagram, protocol {protocol}]({name})"]
+    return parts + _listed("Left out", left_out)
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return [f"{title}:\n\n" + "\n".join(f"- {line}" for line in lines)] if lines else []
 
 
 def write_study(store: Store, study: str, variants: Sequence[Variant]) -> Path:
@@ -129,8 +160,9 @@ def write_study(store: Store, study: str, variants: Sequence[Variant]) -> Path:
     runs = [result for variant in variants for result in variant.results]
     seeds = len({result.spec.seed for result in runs})
     text = (
-        f"# NN-SS on {store.dataset}, protocol `{store.protocol}`: {study}\n\nRMSE, mean over outputs, median over "
-        f"{seeds} seed{'s' * (seeds > 1)} with its 95 % bootstrap interval. One switch at a time; runs under "
+        f"# NN-SS on {store.dataset}, protocol `{store.protocol}`: {study}\n\n"
+        f"{'Mean over outputs of RMSE/σ' if several_outputs(runs) else 'RMSE'}, median over {seeds} "
+        f"seed{'s' * (seeds > 1)} with its interval by order statistics. One switch at a time; runs under "
         f"`{store.out.name}/ablation/{study}/`.\n\n"
     )
     write_text(path, text + markdown(study_rows(variants, intervals=True)) + "\n")
@@ -164,22 +196,28 @@ def _section(store: Store, files: Sequence[Path], out: Path) -> str:
     # The comparison's own page, its headings one level down.
     parts.append("\n".join(f"#{line}" if line.startswith("##") else line for line in table.splitlines()[2:]).strip())
     for title, body in (
-        ("Medians with 95 % bootstrap intervals over seeds", intervals(results)),
+        (
+            "Medians over seeds\n\nWith intervals by order statistics: how far the median depends on the seed, on this "
+            "record and split. They say nothing about another record.",
+            intervals(results),
+        ),
         (
             "Beside the paper's table\n\nThe paper prints the best of ten seeds, chosen on test, so the verdict is on "
-            "ours chosen likewise: reproduced (within 10 %, or in the last printed digit), better or worse. NN-SS "
-            "with the paper's recipe",
+            "ours chosen likewise: reproduced (within 10 %, or in the last printed digit), better or worse. Only runs "
+            "of which every setting is the paper's stand here.",
             paper_comparison(results),
         ),
         (
-            "Beside the models that the authors released\n\nMedians over seeds, mean over outputs; NN-SS with the "
-            "paper's recipe",
+            "Beside the models that the authors released\n\nMedians over seeds, mean over outputs in physical units; "
+            "only runs of which every setting is the paper's. The released medians' intervals follow from their "
+            "quartiles (± 1.57 (q3 − q1)/√n), ours from order statistics.",
             released_comparison(results),
         ),
-        ("Optimism of choosing on test\n\nError on test of the best seed, mean over outputs", optimism(results)),
+        ("Optimism of choosing on test\n\nRMSE/σ on test of the best seed, mean over outputs.", optimism(results)),
     ):
         if body:
             parts.append(f"### {title}\n\n{body}")
+    parts += _listed("Run with other settings than the paper's, and so not compared with it", not_the_papers(results))
     for study in sorted(store.folder.glob("study-*.md")):
         title, body = study.read_text(encoding="utf-8").split("\n", 1)
         parts.append(f"### Study: {title.rpartition(': ')[2]}\n{body}".rstrip())
@@ -198,7 +236,7 @@ def _section(store: Store, files: Sequence[Path], out: Path) -> str:
 
 def _versions(result: RunResult) -> str:
     return ", ".join(
-        f"{name} {result.provenance[name]}" for name in ("nnss", "python", "numpy", "scipy", "torch", "machine")
+        f"{name} {result.provenance.get(name, 'unknown')}" for name in ("nnss", "python", *LIBRARIES, "machine")
     )
 
 
@@ -227,6 +265,13 @@ def _boxplot(results: Sequence[RunResult]) -> Figure | None:
     axes = {f"y{i + 1}": axis for i, axis in enumerate(_output_axes(results[0]))}
     seeds = len({result.spec.seed for result in results})
     title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} RMSE over {seeds} seed{'s' * (seeds > 1)}"
+    lost = [
+        f"{failed} of {len(own)} {figures.style_of(method).label}, n = {order}"
+        for (method, order), own in runs_by_method(results).items()
+        if (failed := sum(result.status != "ok" for result in own))
+    ]
+    if lost:
+        title += "\nnot drawn, without a result: " + "; ".join(lost)
     return figures.draw_boxplot(values, axes, title, SPLIT_NAMES[split].lower())
 
 
@@ -236,17 +281,32 @@ def _simulation(store: Store, results: Sequence[RunResult]) -> Figure | None:
     if not best:
         return None
     simulated = {}
-    measured: FloatArray = np.empty(0)
-    time: FloatArray = np.empty(0)
-    unit = "s"
     for method, result in best.items():
         signals = store.signals(result.spec)
-        measured = signals[f"{split}/0/y"]
-        time, unit = _time(len(measured), float(signals["Ts"][0]))
-        simulated[method] = (f"(n = {result.spec.order})", signals[f"{split}/0/y_sim"])
+        simulated[method] = (f"(n = {result.spec.order})", joined(signals, split, "y_sim"))
+    measured, lengths = joined(signals, split, "y"), record_lengths(signals, split)
+    time, unit = _time(len(measured), float(signals["Ts"][0]))
     axes = _output_axes(results[0])
-    title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} record, each method's best run by validation"
-    return figures.draw_simulation(time, measured, simulated, axes, unit, title, transient(measured))
+    title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
+    return figures.draw_simulation(
+        time, measured, simulated, axes, unit, title, transient(measured[: lengths[0]]), np.cumsum(lengths)[:-1]
+    )
+
+
+def record_lengths(signals: Tensors, split: str) -> list[int]:
+    """Samples of each record of a split, in order."""
+    count = sum(name.startswith(f"{split}/") and name.endswith("/y") for name in signals)
+    return [len(signals[f"{split}/{index}/y"]) for index in range(count)]
+
+
+def joined(signals: Tensors, split: str, name: str) -> FloatArray:
+    """A signal of all records of a split, one after the other (ΣK, ·)."""
+    return np.concatenate([signals[f"{split}/{i}/{name}"] for i in range(len(record_lengths(signals, split)))])
+
+
+def _records(split: str, lengths: Sequence[int]) -> str:
+    name = SPLIT_NAMES[split].lower()
+    return f"{name} record" if len(lengths) == 1 else f"{len(lengths)} {name} records, one after the other"
 
 
 def transient(measured: FloatArray) -> slice | None:
@@ -267,14 +327,14 @@ def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
     if result is None:
         return None
     signals = store.signals(result.spec)
-    time, unit = _time(len(signals[f"{split}/0/y"]), float(signals["Ts"][0]))
-    record = f"{SPLIT_NAMES[split].lower()} record, measured outputs on top"
+    measured, lengths = joined(signals, split, "y"), record_lengths(signals, split)
+    time, unit = _time(len(measured), float(signals["Ts"][0]))
     title = (
         f"{_title(result)}: latent states of the best NN-SS run by validation\n"
-        f"(n = {result.spec.order}, seed {result.spec.seed}; {record})"
+        f"(n = {result.spec.order}, seed {result.spec.seed}; {_records(split, lengths)}, measured outputs on top)"
     )
     return figures.draw_states(
-        time, signals[f"{split}/0/x"], signals[f"{split}/0/y"], _output_axes(result), unit, title
+        time, joined(signals, split, "x"), measured, _output_axes(result), unit, title, np.cumsum(lengths)[:-1]
     )
 
 

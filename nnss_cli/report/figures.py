@@ -170,7 +170,7 @@ def _few_log_ticks(panel: Any) -> None:
 
 def draw_simulation(
     time: FloatArray, measured: FloatArray, simulated: Mapping[str, tuple[str, FloatArray]],
-    outputs: Sequence[Axis], time_unit: str, title: str, zoom: slice | None = None,
+    outputs: Sequence[Axis], time_unit: str, title: str, zoom: slice | None = None, breaks: Sequence[int] = (),
 ) -> Figure:  # fmt: skip
     """Measured and simulated outputs, one row an output, with a second column for a part of a long record.
 
@@ -182,6 +182,7 @@ def draw_simulation(
         time_unit: unit of `time`.
         title: of the figure.
         zoom: samples of the second column; None for none.
+        breaks: samples at which another record begins.
     """
     parts = [slice(None)] if zoom is None else [slice(None), zoom]
     with plt.rc_context(STYLE):
@@ -204,6 +205,7 @@ def draw_simulation(
                         label=f"{look.label} {detail}",
                     )
                 panel.margins(x=0.01)
+            _mark_breaks(panels[i, 0], time, breaks)
             panels[i, 0].set_ylabel(str(outputs[i]))
             if zoom is not None:  # where the second column stands in the first
                 panels[i, 0].axvspan(time[zoom][0], time[zoom][-1], color="0.85", zorder=0)
@@ -215,6 +217,11 @@ def draw_simulation(
     return figure
 
 
+def _mark_breaks(panel: Any, time: FloatArray, breaks: Sequence[int]) -> None:
+    for at in breaks:
+        panel.axvline(time[at], color="0.3", linewidth=0.8, linestyle=(0, (5, 3)))
+
+
 def draw_states(
     time: FloatArray,
     states: FloatArray,
@@ -222,6 +229,7 @@ def draw_states(
     outputs: Sequence[Axis],
     time_unit: str,
     title: str,
+    breaks: Sequence[int] = (),
 ) -> Figure:
     """Latent states over time, with the measured outputs that they follow above them.
 
@@ -232,6 +240,7 @@ def draw_states(
         outputs: names and units.
         time_unit: unit of `time`.
         title: of the figure.
+        breaks: samples at which another record begins.
     """
     with plt.rc_context(STYLE):
         n, m = states.shape[1], measured.shape[1]
@@ -245,6 +254,7 @@ def draw_states(
             panels[m + i, 0].plot(time, states[:, i], color=style_of("nnss").colour, linewidth=1.1)
             panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
         for panel in panels[:, 0]:
+            _mark_breaks(panel, time, breaks)
             panel.margins(x=0.01)
             panel.yaxis.set_major_locator(MaxNLocator(3))
         figure.align_ylabels()
@@ -293,21 +303,35 @@ def draw_orders(
     return figure
 
 
-def draw_ranks(ranks: pd.Series, difference: float, title: str) -> Figure:
+def cliques(methods: Sequence[str], level: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
+    """First and last position of each longest run of methods of which no two are shown to differ, of two or more.
+
+    Args:
+        methods: in the order of their ranks.
+        level: pairs that are not shown to differ.
+    """
+    same = {frozenset(pair) for pair in level}
+    found: list[tuple[int, int]] = []
+    for i in range(len(methods)):
+        j = i
+        while j + 1 < len(methods) and all(frozenset((methods[a], methods[j + 1])) in same for a in range(i, j + 1)):
+            j += 1
+        if j > i and (not found or j > found[-1][1]):
+            found.append((i, j))
+    return found
+
+
+def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -> Figure:
     """Critical-difference diagram: mean ranks on a line; a bar joins methods that are not shown to differ.
 
     Args:
         ranks: mean rank by method, ascending.
-        difference: the critical difference.
+        level: pairs that are not shown to differ.
         title: of the figure.
     """
     k = len(ranks)
     values = ranks.to_numpy()
-    groups: list[tuple[int, int]] = []
-    for i in range(k):
-        j = max(j for j in range(k) if values[j] - values[i] <= difference)
-        if j > i and (not groups or j > groups[-1][1]):
-            groups.append((i, j))
+    groups = cliques([str(name) for name in ranks.index], level)
     left = (k + 1) // 2
     with plt.rc_context(STYLE):
         rows = max(left, k - left)
@@ -315,13 +339,11 @@ def draw_ranks(ranks: pd.Series, difference: float, title: str) -> Figure:
         panel.axis("off")
         panel.set_xlim(0.2 - 0.25 * k, 1.25 * k + 0.8)
         low = -0.5 - 0.35 * len(groups)
-        panel.set_ylim(low - 0.6 * rows - 0.2, 1.6)
+        panel.set_ylim(low - 0.6 * rows - 0.2, 1.0)
         panel.plot([1, k], [0, 0], color="black", linewidth=1)
         for tick in range(1, k + 1):
             panel.plot([tick, tick], [0, 0.18], color="black", linewidth=1)
             panel.text(tick, 0.28, str(tick), ha="center", va="bottom")
-        panel.plot([1, 1 + difference], [1.05, 1.05], color="black", linewidth=2, marker="|")
-        panel.text(1 + difference / 2, 1.12, f"critical difference {difference:.2f}", ha="center", va="bottom")
         for index, (i, j) in enumerate(groups):
             height = -0.35 - 0.35 * index
             panel.plot([values[i] - 0.05, values[j] + 0.05], [height, height], color="0.35", linewidth=3.5)

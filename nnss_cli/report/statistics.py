@@ -1,49 +1,119 @@
-"""Seeds are samples: intervals of medians, paired tests between methods, ranks.
+"""Seeds are samples, records are blocks: intervals of medians over seeds, rank tests over records.
 
-Sources: B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993; J. Demšar, "Statistical comparisons
-of classifiers over multiple data sets", JMLR 7, 2006.
+An interval over seeds says how far a result depends on initial weights and shuffling, on one record and split. It says
+nothing about another record: for that the unit is the record, and fewer than `MIN_RECORDS` of them support no test.
+
+Sources: H. A. David and H. N. Nagaraja, "Order Statistics", 3rd ed., 2003, section 7.1; R. McGill, J. W. Tukey and
+W. A. Larsen, "Variations of box plots", The American Statistician 32(1), 1978; J. Demšar, "Statistical comparisons of
+classifiers over multiple data sets", JMLR 7, 2006; A. Benavoli, G. Corani and F. Mangili, "Should we really use
+post-hoc tests based on mean-ranks?", JMLR 17, 2016.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from nnss_cli.iterative import named_random
-
 LEVEL = 0.95
-DRAWS = 10_000
 REPRODUCED = 10.0  # percent
+MIN_RECORDS = 6  # with five, no signed-rank test of two methods can reach 5 %
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Bounds of a quantity, and how often such bounds hold."""
+
+    low: float
+    """Lower bound."""
+    high: float
+    """Upper bound; ∞ where failed runs reach into it."""
+    coverage: float
+    """Probability that it covers, at least; 0 for a single value, of which nothing is known."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A paired test between two methods."""
+    """A paired test between two methods over records."""
 
     first: str
     """The one with the lower mean rank."""
     second: str
     """The other."""
     wins: int
-    """Pairs in which the first is lower."""
+    """Records on which the first is lower."""
     pairs: int
-    """Pairs in which they differ."""
+    """Records on which they differ."""
     p: float
     """Two-sided Wilcoxon signed-rank test."""
     adjusted: float
     """The same after Holm's correction for all comparisons."""
 
+    @property
+    def differ(self) -> bool:
+        """Whether the two are shown to differ, at a family-wise error of 5 %."""
+        return self.adjusted <= 1 - LEVEL
 
-def median_interval(values: Sequence[float]) -> tuple[float, float]:
-    """The 95 % percentile bootstrap interval of the median; the same values give the same interval."""
-    sample = np.asarray(values, dtype=float)
-    drawn = named_random(0, "bootstrap").choice(sample, (DRAWS, len(sample)))
-    low, high = np.quantile(np.median(drawn, axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(low), float(high)
+
+def median_interval(values: Sequence[float], level: float = LEVEL) -> Interval:
+    """Distribution-free bounds of the median: [x₍ₖ₎, x₍ₙ₊₁₋ₖ₎] of the ordered values, with the largest k that will do.
+
+        coverage = 1 − 2 P(B < k),   B binomial (n, ½)
+
+    Too few values for the level (fewer than six for 95 %) give smallest and largest, with the coverage these have.
+    """
+    ordered = sorted(values)
+    n = len(ordered)
+    k, tail = 1, 0.5**n  # P(B < 1)
+    while k < n and (further := tail + math.comb(n, k) * 0.5**n) <= (1 - level) / 2:
+        k, tail = k + 1, further
+    return Interval(ordered[k - 1], ordered[n - k], max(0.0, 1 - 2 * tail))
+
+
+def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Interval:
+    """Bounds of the ratio of two medians, from the intervals of both, each at half the error (Bonferroni).
+
+    A single value, as a method without seeds has, counts as exact.
+    """
+    level = LEVEL if min(len(first), len(second)) == 1 else (1 + LEVEL) / 2
+    a, b = (
+        Interval(values[0], values[0], 1.0) if len(values) == 1 else median_interval(values, level)
+        for values in (first, second)
+    )
+    return Interval(_ratio(a.low, b.high), _ratio(a.high, b.low), max(0.0, a.coverage + b.coverage - 1))
+
+
+def ratio(first: Sequence[float], second: Sequence[float]) -> float:
+    """The first median over the second; failed runs enter as ∞."""
+    return _ratio(quantile(first, 0.5), quantile(second, 0.5))
+
+
+def _ratio(a: float, b: float) -> float:
+    if math.isinf(b):
+        return math.nan if math.isinf(a) else 0.0
+    return a / b if b > 0 else (1.0 if a == 0 else math.inf)
+
+
+def quantile(values: Sequence[float], q: float) -> float:
+    """As NumPy's, between order statistics; ∞ where an infinite value has a part in it."""
+    ordered = np.sort(np.asarray(values, dtype=float))
+    if np.isfinite(ordered).all():
+        return float(np.quantile(ordered, q))
+    at = q * (len(ordered) - 1)
+    low = math.floor(at)
+    if at == low or math.isinf(ordered[low + 1]):
+        return float(ordered[low] if at == low else math.inf)
+    return float(ordered[low] + (at - low) * (ordered[low + 1] - ordered[low]))
+
+
+def quartile_interval(median: float, q1: float, q3: float, count: int) -> tuple[float, float]:
+    """About 95 % bounds of a median of which only quartiles are known: ± 1.57 (q3 − q1)/√n, a box plot's notch."""
+    half = 1.57 * (q3 - q1) / math.sqrt(count)
+    return median - half, median + half
 
 
 def verdict(ours: float, theirs: float, unit: float = 0.0) -> str:
@@ -53,34 +123,18 @@ def verdict(ours: float, theirs: float, unit: float = 0.0) -> str:
     return "better" if ours < theirs else "worse"
 
 
-def holm(p: Sequence[float]) -> list[float]:
-    """Holm's step-down adjustment of p values."""
-    order = np.argsort(p)
-    adjusted, largest = np.empty(len(p)), 0.0
-    for position, index in enumerate(order):
-        largest = max(largest, min(1.0, (len(p) - position) * p[index]))
-        adjusted[index] = largest
-    return [float(value) for value in adjusted]
-
-
 def mean_ranks(table: pd.DataFrame) -> pd.Series:
     """Mean rank of each method (1 is the lowest error); ties share.
 
     Args:
-        table: errors, a row per dataset and order, a column per method, none missing.
+        table: errors, a row per record, a column per method, none missing.
     """
     return table.rank(axis=1).mean().sort_values(kind="stable")
 
 
-def critical_difference(methods: int, blocks: int) -> float:
-    """Nemenyi's: mean ranks further apart than this differ at the 5 % level.
-
-    CD = q √(k (k + 1) / (6 N)) for k methods and N blocks, q the studentised range over √2.
-    """
-    from scipy.stats import studentized_range
-
-    q = float(studentized_range.ppf(LEVEL, methods, np.inf)) / np.sqrt(2)
-    return float(q * np.sqrt(methods * (methods + 1) / (6 * blocks)))
+def smallest_adjusted(records: int, methods: int) -> float:
+    """The smallest p that Holm's correction can give: 2/2ᴺ of the signed-rank test, times all pairs."""
+    return min(1.0, 2.0 ** (1 - records) * math.comb(methods, 2))
 
 
 def paired_tests(table: pd.DataFrame) -> list[Comparison]:
@@ -88,15 +142,28 @@ def paired_tests(table: pd.DataFrame) -> list[Comparison]:
 
     Args:
         table: as in `mean_ranks`.
+
+    Raises:
+        ValueError: fewer than `MIN_RECORDS` rows, which support no test.
     """
     from scipy.stats import wilcoxon
+    from statsmodels.stats.multitest import multipletests
 
-    ordered = list(mean_ranks(table).index)
-    found = []
-    for first, second in itertools.combinations(ordered, 2):
-        difference = np.log(table[first]) - np.log(table[second])
-        difference = difference[difference != 0]
-        p = float(wilcoxon(difference).pvalue) if len(difference) else 1.0
-        found.append((first, second, int((difference < 0).sum()), len(difference), p))
-    adjusted = holm([row[-1] for row in found])
-    return [Comparison(*row, value) for row, value in zip(found, adjusted, strict=True)]
+    if len(table) < MIN_RECORDS:
+        raise ValueError(f"expected at least {MIN_RECORDS} records, found {len(table)}: they support no test")
+    pairs = list(itertools.combinations(mean_ranks(table).index, 2))
+    logs = np.log(table)
+    difference = np.array([logs[first] - logs[second] for first, second in pairs])
+    tied = (difference == 0).any(axis=1)  # ties say nothing: these pairs have fewer records
+    p = np.ones(len(pairs))
+    if not tied.all():
+        p[~tied] = wilcoxon(difference[~tied], axis=1).pvalue
+    for index in np.flatnonzero(tied):
+        left = difference[index][difference[index] != 0]
+        p[index] = wilcoxon(left).pvalue if len(left) else 1.0
+    adjusted = multipletests(p, method="holm")[1]
+    wins, differing = (difference < 0).sum(axis=1), (difference != 0).sum(axis=1)
+    return [
+        Comparison(*pair, int(w), int(d), float(one), float(holm))
+        for pair, w, d, one, holm in zip(pairs, wins, differing, p, adjusted, strict=True)
+    ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,11 +13,21 @@ from tabulate import tabulate
 
 from nnss_cli.datasets.record import SPLITS
 from nnss_cli.experiment.ablation import Variant
+from nnss_cli.experiment.execute import LIBRARIES
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.tune import Trial
-from nnss_cli.report.aggregate import MEAN, methods_of, scored_split, summary
-from nnss_cli.report.statistics import median_interval
+from nnss_cli.report.aggregate import (
+    NORMALISED,
+    is_combination,
+    methods_of,
+    runs_by_method,
+    scored_split,
+    several_outputs,
+    shown_error,
+    summary,
+)
+from nnss_cli.report.statistics import median_interval, quantile
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
     from nnss_cli.experiment.certify import Certificate
@@ -24,8 +36,14 @@ SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A few significant digits; "–" for nothing."""
-    return "–" if value is None or pd.isna(value) else f"{value:.{digits}g}"
+    """A few significant digits, without an exponent from 0.0001 to a million; "–" for nothing, "∞" for a failure."""
+    if value is None or pd.isna(value):
+        return "–"
+    if math.isinf(value):
+        return "∞"
+    if value == 0 or not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits}g}"
+    return np.format_float_positional(value, precision=digits, fractional=False, trim="-")
 
 
 def failures(results: Sequence[RunResult]) -> list[str]:
@@ -37,58 +55,104 @@ def failures(results: Sequence[RunResult]) -> list[str]:
     ]
 
 
+def remarks(results: Sequence[RunResult]) -> list[str]:
+    """What the fits have to tell, one line for each method, order and remark, with the seeds that it holds for."""
+    lines = []
+    for (method, order), own in runs_by_method(results).items():
+        for remark in dict.fromkeys(remark for r in own for remark in r.remarks):
+            seeds = [str(r.spec.seed) for r in own if remark in r.remarks]
+            whose = f"seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}" if len(own) > 1 else ""
+            lines.append(", ".join(filter(None, (method, f"order {order}", whose))) + f": {remark}")
+    return lines
+
+
+def versions_apart(results: Sequence[RunResult]) -> list[str]:
+    """A line for each library that is not the same in all runs, and for the machine."""
+    lines = []
+    for name in ("nnss", "python", *LIBRARIES, "machine"):
+        counts = Counter(r.provenance.get(name, "unknown") for r in results)
+        if len(counts) > 1:
+            found = ", ".join(f"{version} ({count} runs)" for version, count in sorted(counts.items()))
+            lines.append(f"Made with different versions of {name}: {found}.")
+    return lines
+
+
 def rmse_markdown(results: Sequence[RunResult]) -> str:
     """The summary over seeds, one table a split, and the runs that failed."""
     first = results[0].spec
     parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
+    names = methods_of(results)
     for split in SPLITS:
-        body = rows_of_split(table, split, methods_of(results))
+        body = rows_of_split(table, split, [name for name in names if not is_combination(name)])
         if body:
             parts.append(f"## {SPLIT_NAMES[split]}\n\n" + markdown(body))
-    lines = failures(results)
-    if lines:
-        parts.append("## Runs without a result\n\n" + "\n".join(f"- {line}" for line in lines))
+        apart = rows_of_split(table, split, [name for name in names if is_combination(name)])
+        if apart:
+            parts.append("Made of runs above, so no independent competitor:\n\n" + markdown(apart))
+    for title, lines in (("Runs without a result", failures(results)), ("Remarks of the fits", remarks(results))):
+        if lines:
+            parts.append(f"## {title}\n\n" + "\n".join(f"- {line}" for line in lines))
     return "\n\n".join(parts) + "\n"
 
 
 def rows_of_split(table: pd.DataFrame, split: str, methods: list[str]) -> list[dict[str, str]]:
-    """The summary's rows for one split, as text, by order, method and output."""
+    """The summary's rows of these methods for one split, as text, by order, method and output."""
     if table.empty:
         return []
-    rows = table[table["split"] == split].assign(position=lambda t: t["method"].map(methods.index))
+    rows = table[(table["split"] == split) & table["method"].isin(methods)]
     return [
         {
-            "order": str(row.order), "method": str(row.method), "output": str(row.output), "runs": str(row.runs),
-            "mean": number(row.mean), "median": number(row.median),
+            "order": str(row.order), "method": str(row.method), "output": str(row.output),
+            "runs": f"{row.ok}/{row.runs}", "mean": number(row.mean), "median": number(row.median),
             "best by validation": f"{number(row.best)} (seed {row.best_seed})" if row.runs > 1 else number(row.best),
             "spread (q1–q3)": f"{number(row.q1)}–{number(row.q3)}" if row.runs > 1 else "–",
             "min–max": f"{number(row.min)}–{number(row.max)}" if row.runs > 1 else "–",
         }
-        for row in rows.sort_values(["order", "position", "output"]).itertuples()
+        for row in rows.assign(position=lambda t: t["method"].map(methods.index))
+        .sort_values(["order", "position", "output"])
+        .itertuples()
     ]  # fmt: skip
 
 
-def terminal_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
-    """A short table: medians of all splits, the test error of the best run; mean over outputs."""
+def terminal_title(results: Sequence[RunResult]) -> str:
+    """What the terminal's table shows."""
+    first = results[0].spec
+    what = "mean over outputs of RMSE/σ" if several_outputs(results) else "RMSE"
+    return (
+        f"{first.dataset}, protocol {first.protocol}: {what}, median over seeds; q1–q3 and best "
+        f"(the seed chosen on validation): {SPLIT_NAMES[scored_split(results)].lower()}"
+    )
+
+
+def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dict[str, str]]:
+    """A short table: medians of all splits, quartiles and the best run on the split that figures show.
+
+    Args:
+        results: the runs.
+        apart: show the methods that are made of others' runs, instead of the independent ones.
+    """
     table = summary(results)
-    methods = methods_of(results)
     shown_split = scored_split(results)
+    output = NORMALISED if several_outputs(results) else "y1"
+    position = methods_of(results)
     rows = []
-    for order in sorted({r.spec.order for r in results}):
-        for method in methods:
-            own = [r for r in results if (r.spec.method, r.spec.order) == (method, order)]
-            if not own:
-                continue
-            ok = sum(r.status == "ok" for r in own)
-            row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
-            cells = _cells(table, method, order)
-            for split in SPLITS:
-                row[split] = number(cells[split]["median"], 3) if split in cells else "–"
-            shown = cells.get(shown_split)
-            row["q1–q3"] = f"{number(shown['q1'], 2)}–{number(shown['q3'], 2)}" if shown is not None and ok > 1 else "–"
-            row["best"] = number(shown["best"], 3) if shown is not None else "–"
-            rows.append(row)
+    runs = runs_by_method(results)
+    for method, order in sorted(runs, key=lambda key: (key[1], position.index(key[0]))):
+        if is_combination(method) != apart:
+            continue
+        own = runs[method, order]
+        ok = sum(r.status == "ok" for r in own)
+        row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
+        cells = {} if table.empty else _cells(table, method, order, output)
+        for split in SPLITS:
+            row[split] = number(cells[split]["median"], 3) if split in cells else "–"
+        shown = cells.get(shown_split)
+        row["q1–q3"] = (
+            f"{number(shown['q1'], 2)}–{number(shown['q3'], 2)}" if shown is not None and len(own) > 1 else "–"
+        )
+        row["best"] = number(shown["best"], 3) if shown is not None else "–"
+        rows.append(row)
     return rows
 
 
@@ -149,7 +213,7 @@ def stress_rows(found: Certificate) -> list[dict[str, str]]:
 
 
 def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dict[str, str]]:
-    """A study as text: medians by order and variant."""
+    """A study as text: medians of `shown_error` by order and variant, a run without a result as ∞."""
     rows = []
     for order in sorted({r.spec.order for v in variants for r in v.results}):
         for variant in variants:
@@ -157,11 +221,14 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
             ok = [r for r in own if r.status == "ok"]
             row = {"order": str(order), "variant": variant.name, "runs": f"{len(ok)}/{len(own)}"}
             for split in SPLITS:
-                errors = [sum(e) / len(e) for r in ok if (e := [s.rmse for s in r.scores if s.split == split])]
-                row[split] = number(float(np.median(errors))) if errors else "–"
+                if not any(score.split == split for r in ok for score in r.scores):
+                    row[split] = "–"
+                    continue
+                errors = [shown_error(r, split) if r.status == "ok" else math.inf for r in own]
+                row[split] = number(quantile(errors, 0.5))
                 if intervals and len(errors) > 1:
-                    low, high = median_interval(errors)
-                    row[split] += f" ({number(low, 3)}–{number(high, 3)})"
+                    bounds = median_interval(errors)
+                    row[split] += f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})"
             if any(v.unbounded is not None for v in variants):
                 row["unbounded under stress"] = str(sum(r.spec.order == order for r in variant.unbounded or ()))
             rows.append(row)
@@ -169,34 +236,43 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
 
 
 def trial_rows(trials: Sequence[Trial]) -> list[dict[str, str]]:
-    """Trials of a search as text."""
+    """Trials of a search as text; – for what the recipe decides."""
+
+    def widths(trial: Trial, name: str) -> str:
+        return " ".join(map(str, trial.settings.get(name, ("–",))))
+
+    def plain(trial: Trial, name: str) -> str:
+        value = trial.settings.get(name)
+        return number(value, 2) if isinstance(value, float) else str("–" if value is None else value)
+
     return [
         {
-            "trial": str(t.number), "state": t.state, "val": number(t.val_rmse, 3),
-            "hidden": f"{t.values['width']}×{t.values['depth']}",
-            "encoder": f"{t.values['encoder_width']}×{t.values['encoder_depth']}",
-            "λ": number(t.values["lambda"], 2), "rate": number(t.values["learning_rate"], 2),
-            "window": str(t.values["window"]), "batch": str(t.values["batch"]),
+            "trial": str(t.number), "state": t.state, "val": number(t.val_rmse, 3), "hidden": widths(t, "hidden"),
+            "encoder": widths(t, "encoder"), "λ": plain(t, "consistency"), "rate": plain(t, "learning_rate"),
+            "window": plain(t, "window"), "batch": plain(t, "batch"),
         }
         for t in trials
     ]  # fmt: skip
 
 
-def _cells(table: pd.DataFrame, method: str, order: int) -> dict[str, pd.Series]:
-    if table.empty:
-        return {}
-    own = table[(table["method"] == method) & (table["order"] == order)]
-    output = MEAN if (own["output"] == MEAN).any() else "y1"
-    return {str(row["split"]): row for _, row in own[own["output"] == output].iterrows()}
+def _cells(table: pd.DataFrame, method: str, order: int, output: str) -> dict[str, pd.Series]:
+    own = table[(table["method"] == method) & (table["order"] == order) & (table["output"] == output)]
+    return {str(row["split"]): row for _, row in own.iterrows()}
 
 
 def _explanation(results: Sequence[RunResult]) -> str:
     notes = list(dict.fromkeys(note for result in results for note in result.notes))
     lines = [
-        "Free simulation from the first output sample, physical units. Statistics are over seeds; the best run "
-        "is chosen on validation, never on test. Every number is rebuilt from `runs/` by `nnss report`."
+        "Free simulation from the first output sample, physical units. Statistics are over seeds; a run without a "
+        "result counts as ∞ in medians and quartiles. The best run is chosen on validation, never on test. Every "
+        "number is rebuilt from `runs/` by `nnss report`."
     ]
-    return "\n\n".join(lines + [f"Note: {note}" for note in notes])
+    if several_outputs(results):
+        lines.append(
+            "Output `mean` is the mean over outputs in physical units, which the largest output rules; methods are "
+            "ranked by `mean of RMSE/σ`, σ being the deviation that the protocol scales with."
+        )
+    return "\n\n".join(lines + [f"Note: {note}" for note in [*notes, *versions_apart(results)]])
 
 
 def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
