@@ -126,10 +126,10 @@ class Scaling:
 
     @classmethod
     def of(cls, records: tuple[Record, ...]) -> Scaling:
-        """Statistics over all samples of `records`. A constant channel is only centred."""
+        """Statistics over all samples of `records`. A constant channel is only centred: its deviation counts as 1."""
         u = np.concatenate([record.u for record in records])
         y = np.concatenate([record.y for record in records])
-        return cls(u.mean(0), _deviation(u), y.mean(0), _deviation(y))
+        return cls(*_mean_and_deviation(u), *_mean_and_deviation(y))
 
     def apply(self, record: Record) -> Record:
         """The record in normalised units."""
@@ -148,9 +148,19 @@ class Scaling:
         return y * self.y_std + self.y_mean
 
 
-def _deviation(values: FloatArray) -> FloatArray:
-    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
-    return np.where(deviation > 0, deviation, 1.0)
+# A channel is constant when its samples differ by no more than rounding: a value c that has been through a few
+# operations (a change of unit, an offset) is off by a few halves of eps·|c|, either way, so 8 eps covers it;
+# what a 24-bit converter or float32 resolves is 6e-8 of |c|, far above. The range tells, not the deviation:
+# the computed σ of the constant 0.1 is 1e-17, which is the error of its mean and grows with the record.
+ROUNDING = 8 * np.finfo(np.float64).eps
+
+
+def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    lowest, highest = values.min(axis=0), values.max(axis=0)
+    constant = highest - lowest <= ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
+    # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
+    mean = np.where(constant, values[0], values.mean(axis=0))
+    return mean, np.where(constant, 1.0, values.std(axis=0, ddof=1 if len(values) > 1 else 0))
 
 
 @dataclass(frozen=True)
