@@ -7,6 +7,7 @@ can change what the next one sees. Time runs along the first axis.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -163,6 +164,11 @@ def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mean, np.where(constant, 1.0, values.std(axis=0, ddof=1 if len(values) > 1 else 0))
 
 
+def _kind(record: Record) -> str:
+    r, m = record.input_count, record.output_count
+    return f"{r} input{'s' * (r != 1)}, {m} output{'s' * (m != 1)} and Ts = {record.Ts:.12g} s"
+
+
 @dataclass(frozen=True)
 class FittingData:
     """All that a method may see: it holds no test record, so nothing can be chosen on one."""
@@ -179,6 +185,40 @@ class FittingData:
     """z-score statistics (the paper's power plant takes them over all 200 rows, others over train)."""
     channels: Channels
     """Names and units."""
+
+    def __post_init__(self) -> None:
+        for split, records in (("train", self.train), ("validation", self.val)):
+            if not records:
+                raise InputError(f"dataset {self.dataset}: expected a {split} record, found none")
+            self.check_like_first(split, records)
+        r, m = self.input_count, self.output_count
+        for owner, names, count in (
+            (self.channels, ("inputs", "input_units"), r), (self.channels, ("outputs", "output_units"), m),
+            (self.scaling, ("u_mean", "u_std"), r), (self.scaling, ("y_mean", "y_std"), m),
+        ):  # fmt: skip
+            for name in names:
+                found = np.shape(getattr(owner, name))
+                if found != (count,):
+                    raise InputError(
+                        f"dataset {self.dataset}: {type(owner).__name__}.{name}: expected shape ({count},), one value "
+                        f"for each channel of the records, found {found}"
+                    )
+
+    def check_like_first(self, split: str, records: tuple[Record, ...]) -> None:
+        """Check that `records` have the channels and the sampling time of the first training record.
+
+        Raises:
+            InputError: one differs; the message names it by its split and its number, counted from 1.
+        """
+        first = self.train[0]
+        for number, record in enumerate(records, start=1):
+            same_channels = (record.input_count, record.output_count) == (first.input_count, first.output_count)
+            # A Ts taken from a time axis is off by rounding; 1e-9 of it is 1e-4 of a sample after 100 000 samples.
+            if not (same_channels and math.isclose(record.Ts, first.Ts, rel_tol=1e-9)):
+                raise InputError(
+                    f"dataset {self.dataset}: {split} record {number}: expected {_kind(first)} as in the first "
+                    f"training record, found {_kind(record)}; one model needs records of one kind"
+                )
 
     def normalised(self) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
         """Train and validation records in normalised units."""
@@ -213,13 +253,7 @@ class Dataset:
     """What a reader of the results must know, such as why there is no test."""
 
     def __post_init__(self) -> None:
-        for records in (self.fitting.train, self.fitting.val):
-            if not records:
-                raise InputError(f"dataset {self.fitting.dataset}: train and val each need a record")
-        first = self.fitting.train[0]
-        for record in self.fitting.train + self.fitting.val + self.test:
-            if (record.input_count, record.output_count) != (first.input_count, first.output_count):
-                raise InputError(f"dataset {self.fitting.dataset}: all records need the same channels")
+        self.fitting.check_like_first("test", self.test)
 
     @property
     def name(self) -> str:
