@@ -106,7 +106,7 @@ def samples_hash(values: FloatArray) -> str:
 
     Storage does not matter to it (integers or floats, text or binary, byte order, layout); every sample does.
     """
-    canonical = np.ascontiguousarray(np.asarray(values, dtype=np.float64) + 0.0, dtype="<f8")
+    canonical = (np.asarray(values, dtype=np.float64) + 0.0).astype("<f8")
     return hashlib.sha256(repr(canonical.shape).encode() + canonical.tobytes()).hexdigest()
 
 
