@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import io
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,6 +52,16 @@ class Benchmark:
     Raises InputError when the file is not what it should be."""
 
 
+@dataclass(frozen=True)
+class Samples:
+    """What an array of a file must be, in whatever format it comes: bytes may differ, samples may not."""
+
+    shape: tuple[int, int]
+    """Samples × channels."""
+    sha256: str | None
+    """`samples_hash` of the published array; None where it is not known, so that the array cannot be verified."""
+
+
 def read_bytes(path: Path) -> bytes:
     """The file's contents, unpacked when gzip has packed them.
 
@@ -59,12 +71,12 @@ def read_bytes(path: Path) -> bytes:
     try:
         content = path.read_bytes()
         return gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from error
 
 
 def read_matlab(path: Path, variable_sets: tuple[tuple[str, ...], ...]) -> dict[str, FloatArray]:
-    """The first of `variable_sets` that a MATLAB v5 file holds in full, as column arrays.
+    """The first of `variable_sets` that a MATLAB v5 file holds in full, as real matrices.
 
     Raises:
         InputError: not a MATLAB file, or none of the sets is in it.
@@ -76,39 +88,51 @@ def read_matlab(path: Path, variable_sets: tuple[tuple[str, ...], ...]) -> dict[
         variables = scipy.io.loadmat(io.BytesIO(content), chars_as_strings=False)
     except Exception as error:  # scipy raises whatever the damaged bytes lead it to
         raise InputError(f"'{path}' is not a readable MATLAB file: truncated, corrupt or another format") from error
+    matrices = {
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in variables.items()
+        if isinstance(values, np.ndarray) and values.dtype.kind in "iuf" and values.ndim == 2
+    }
     for names in variable_sets:
-        if all(name in variables for name in names):
-            return {
-                name: np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-                for name, values in variables.items()
-                if isinstance(values, np.ndarray) and values.dtype.kind in "iuf" and values.ndim == 2
-            }
+        if all(name in matrices for name in names):
+            return {name: matrices[name] for name in names}
     expected = " or ".join("(" + ", ".join(names) + ")" for names in variable_sets)
     found = ", ".join(name for name in variables if not name.startswith("__")) or "nothing"
-    raise InputError(f"'{path}': expected the variables {expected}, found {found}")
+    raise InputError(f"'{path}': expected the real matrices {expected}, found {found}")
 
 
-def check_contents(path: Path | None, what: str, y: FloatArray, mean: FloatArray, std: FloatArray) -> None:
-    """Compare a record's statistics with the published file's: bytes may differ, samples may not.
+def samples_hash(values: FloatArray) -> str:
+    """sha256 of an array's shape and its samples as little-endian float64 in C order, with −0 as 0.
+
+    Storage does not matter to it (integers or floats, text or binary, byte order, layout); every sample does.
+    """
+    canonical = (np.asarray(values, dtype=np.float64) + 0.0).astype("<f8")
+    return hashlib.sha256(repr(canonical.shape).encode() + canonical.tobytes()).hexdigest()
+
+
+def check_contents(path: Path, found: Mapping[str, FloatArray], expected: Mapping[str, Samples]) -> None:
+    """Compare a file's arrays, as it holds them, with the published ones.
 
     Args:
         path: the file, for the message.
-        what: the name of the signal, for the message.
-        y: samples (K, m).
-        mean: expected mean (m,).
-        std: expected standard deviation, ddof = 1 (m,).
+        found: every array that the benchmark takes from the file, by its name there.
+        expected: what each of these is to be; it may name others.
 
     Raises:
-        InputError: mean or deviation is off by more than 1e-8 of the deviation.
+        InputError: a shape or a sample differs, or is not finite in an array of unknown hash; the array is named.
     """
-    found_mean, found_std = y.mean(axis=0), y.std(axis=0, ddof=1)
-    if np.abs(found_mean - mean).max(initial=0) > 1e-8 * np.max(std) or not np.allclose(found_std, std, rtol=1e-8):
+    for name, values in found.items():
+        if values.shape != expected[name].shape:
+            raise InputError(f"'{path}': expected {name} of shape {expected[name].shape}, found {values.shape}")
+        if not np.isfinite(values).all():
+            raise InputError(f"'{path}': expected finite numbers in {name}, found NaN or infinity")
+    differing = [
+        f"{name} differs (sha256 of its samples {digest[:8]}…, expected {reference[:8]}…)"
+        for name, values in found.items()
+        if (reference := expected[name].sha256) and (digest := samples_hash(values)) != reference
+    ]
+    if differing:
         raise InputError(
-            f"'{path}' is not the expected record: {what} should have mean {_short(mean)} and deviation "
-            f"{_short(std)}, found {_short(found_mean)} and {_short(found_std)}; "
+            f"'{path}' is not the expected record: {', '.join(differing)}; "
             "fetch it again with --force, or give the original file with --from"
         )
-
-
-def _short(values: FloatArray) -> str:
-    return ", ".join(f"{value:.6g}" for value in np.atleast_1d(values))

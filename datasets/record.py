@@ -7,6 +7,7 @@ can change what the next one sees. Time runs along the first axis.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -126,10 +127,10 @@ class Scaling:
 
     @classmethod
     def of(cls, records: tuple[Record, ...]) -> Scaling:
-        """Statistics over all samples of `records`. A constant channel is only centred."""
+        """Statistics over all samples of `records`. A constant channel is only centred: its deviation counts as 1."""
         u = np.concatenate([record.u for record in records])
         y = np.concatenate([record.y for record in records])
-        return cls(u.mean(0), _deviation(u), y.mean(0), _deviation(y))
+        return cls(*_mean_and_deviation(u), *_mean_and_deviation(y))
 
     def apply(self, record: Record) -> Record:
         """The record in normalised units."""
@@ -148,9 +149,24 @@ class Scaling:
         return y * self.y_std + self.y_mean
 
 
-def _deviation(values: FloatArray) -> FloatArray:
-    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
-    return np.where(deviation > 0, deviation, 1.0)
+# A channel is constant when its samples differ by no more than rounding: a value c that has been through a few
+# operations (a change of unit, an offset) is off by a few halves of eps·|c|, either way, so 8 eps covers it;
+# what a 24-bit converter or float32 resolves is 6e-8 of |c|, far above. The range tells, not the deviation:
+# the computed σ of the constant 0.1 is 1e-17, which is the error of its mean and grows with the record.
+ROUNDING = 8 * np.finfo(np.float64).eps
+
+
+def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    lowest, highest = values.min(axis=0), values.max(axis=0)
+    constant = highest - lowest <= ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
+    # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
+    mean = np.where(constant, values[0], values.mean(axis=0))
+    return mean, np.where(constant, 1.0, values.std(axis=0, ddof=1 if len(values) > 1 else 0))
+
+
+def _kind(record: Record) -> str:
+    r, m = record.input_count, record.output_count
+    return f"{r} input{'s' * (r != 1)}, {m} output{'s' * (m != 1)} and Ts = {record.Ts:.12g} s"
 
 
 @dataclass(frozen=True)
@@ -169,6 +185,40 @@ class FittingData:
     """z-score statistics (the paper's power plant takes them over all 200 rows, others over train)."""
     channels: Channels
     """Names and units."""
+
+    def __post_init__(self) -> None:
+        for split, records in (("train", self.train), ("validation", self.val)):
+            if not records:
+                raise InputError(f"dataset {self.dataset}: expected a {split} record, found none")
+            self.check_like_first(split, records)
+        r, m = self.input_count, self.output_count
+        for owner, names, count in (
+            (self.channels, ("inputs", "input_units"), r), (self.channels, ("outputs", "output_units"), m),
+            (self.scaling, ("u_mean", "u_std"), r), (self.scaling, ("y_mean", "y_std"), m),
+        ):  # fmt: skip
+            for name in names:
+                found = np.shape(getattr(owner, name))
+                if found != (count,):
+                    raise InputError(
+                        f"dataset {self.dataset}: {type(owner).__name__}.{name}: expected shape ({count},), one value "
+                        f"for each channel of the records, found {found}"
+                    )
+
+    def check_like_first(self, split: str, records: tuple[Record, ...]) -> None:
+        """Check that `records` have the channels and the sampling time of the first training record.
+
+        Raises:
+            InputError: one differs; the message names it by its split and its number, counted from 1.
+        """
+        first = self.train[0]
+        for number, record in enumerate(records, start=1):
+            same_channels = (record.input_count, record.output_count) == (first.input_count, first.output_count)
+            # A Ts taken from a time axis is off by rounding; 1e-9 of it is 1e-4 of a sample after 100 000 samples.
+            if not (same_channels and math.isclose(record.Ts, first.Ts, rel_tol=1e-9)):
+                raise InputError(
+                    f"dataset {self.dataset}: {split} record {number}: expected {_kind(first)} as in the first "
+                    f"training record, found {_kind(record)}; one model needs records of one kind"
+                )
 
     def normalised(self) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
         """Train and validation records in normalised units."""
@@ -203,13 +253,7 @@ class Dataset:
     """What a reader of the results must know, such as why there is no test."""
 
     def __post_init__(self) -> None:
-        for records in (self.fitting.train, self.fitting.val):
-            if not records:
-                raise InputError(f"dataset {self.fitting.dataset}: train and val each need a record")
-        first = self.fitting.train[0]
-        for record in self.fitting.train + self.fitting.val + self.test:
-            if (record.input_count, record.output_count) != (first.input_count, first.output_count):
-                raise InputError(f"dataset {self.fitting.dataset}: all records need the same channels")
+        self.fitting.check_like_first("test", self.test)
 
     @property
     def name(self) -> str:

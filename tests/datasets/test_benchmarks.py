@@ -55,6 +55,10 @@ def test_robot_arm_paper(mirror: Path) -> None:
 def test_robot_arm_strict_halves_the_validation_record(mirror: Path) -> None:
     dataset = robotarm.load(mirror / "RobotArm.mat", "strict")
     assert lengths(dataset) == {"train": [1980], "val": [990], "test": [990]}
+    (papers,) = robotarm.load(mirror / "RobotArm.mat", "paper").fitting.val
+    np.testing.assert_array_equal(dataset.fitting.val[0].y, papers.y[:990])
+    np.testing.assert_array_equal(dataset.test[0].y, papers.y[990:])
+    assert any("not strict" in note for note in dataset.notes)
 
 
 def test_robot_arm_with_the_papers_test_record(mirror: Path, tmp_path: Path) -> None:
@@ -63,8 +67,10 @@ def test_robot_arm_with_the_papers_test_record(mirror: Path, tmp_path: Path) -> 
     complete |= {"uv3": raw["U"][::-1].copy(), "yv3": raw["Y"][::-1].copy()}
     path = tmp_path / "robotarmdata.mat"
     scipy.io.savemat(path, complete)
-    assert lengths(robotarm.load(path, "paper")) == {"train": [1980], "val": [1980], "test": [1980]}
-    assert lengths(robotarm.load(path, "strict")) == {"train": [1980], "val": [990], "test": [1980]}
+    paper, strict = robotarm.load(path, "paper"), robotarm.load(path, "strict")
+    assert lengths(paper) == {"train": [1980], "val": [1980], "test": [1980]}
+    assert lengths(strict) == {"train": [1980], "val": [990], "test": [1980]}
+    assert all("verify" in note for note in paper.notes + strict.notes)  # these uv3, yv3 are none: none can tell
 
 
 def test_power_plant(mirror: Path) -> None:
