@@ -102,7 +102,7 @@ def paper_comparison(results: Sequence[RunResult]) -> str:
                 "order": str(row.order), "method": row.method, "output": row.output, "split": row.split,
                 "paper": number(row.rmse), "ours, chosen as the paper does": number(row.lucky),
                 "runs": f"{row.ok:.0f}/{row.runs:.0f}" if known else "–",
-                "difference": f"{100 * (row.lucky / row.rmse - 1):+.0f} %" if known else "–",
+                "difference": _percent(row.lucky / row.rmse),
                 "verdict": verdict(row.lucky, row.rmse, unit) if known else "–",
                 "ours: median": number(row.median), "ours: best by validation": number(row.best),
             }
@@ -137,7 +137,7 @@ def released_comparison(results: Sequence[RunResult]) -> str:
                 "released: median": number(row.median), "its interval": f"{number(low)}–{number(high)}",
                 "ours: median": number(median),
                 "our interval": f"{number(bounds.low)}–{number(bounds.high)}" if bounds.coverage else "–",
-                "difference": f"{100 * (median / row.median - 1):+.0f} %", "verdict": verdict(median, row.median),
+                "difference": _percent(median / row.median), "verdict": verdict(median, row.median),
                 "intervals overlap": ("yes" if overlap else "no") if bounds.coverage else "–",
             }
         )  # fmt: skip
@@ -189,6 +189,10 @@ def intervals(results: Sequence[RunResult]) -> str:
         )  # fmt: skip
     position = methods_of(results)
     return markdown(sorted(rows, key=lambda row: (int(row["order"]), position.index(row["method"])))) if rows else ""
+
+
+def _percent(factor: float) -> str:
+    return f"{100 * (factor - 1):+.0f} %" if math.isfinite(factor) else "–"
 
 
 def _chosen_on_test(results: Sequence[RunResult]) -> pd.DataFrame:

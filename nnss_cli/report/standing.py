@@ -67,7 +67,7 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
                     for name in lost
                 )
             else:
-                bounds = ratio_interval(own, theirs)
+                bounds = ratio_interval(own, theirs, (not _seeded(method), not _seeded(rival)))
                 coverage.append(bounds.coverage)
                 row[f"/ {rival}"] = f"{number(ratio(own, theirs), 3)}" + (
                     f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})" if bounds.coverage else ""
@@ -124,7 +124,7 @@ def missing_runs(results: Sequence[RunResult]) -> list[str]:
         runs = runs_by_method(own)
         orders = sorted({order for _, order in runs})
         seeds = {r.spec.seed for r in own}
-        seeded = {method for (method, _), found in runs.items() if len(found) > 1 or _seeded(method)}
+        seeded = {method for (method, _), found in runs.items() if _seeded(method)}
         for method in methods_of(own):
             lacking = [order for order in orders if (method, order) not in runs]
             if lacking:
@@ -223,7 +223,8 @@ def _by_dataset(results: Sequence[RunResult]) -> dict[str, list[RunResult]]:
 
 
 def _seeded(method: str) -> bool:
-    return method in METHODS and METHODS[method].seeded
+    """Whether runs differ by seed; of a method that is not installed here it is assumed."""
+    return method not in METHODS or METHODS[method].seeded
 
 
 def _has(results: Sequence[RunResult], split: str) -> bool:

@@ -74,15 +74,18 @@ def median_interval(values: Sequence[float], level: float = LEVEL) -> Interval:
     return Interval(ordered[k - 1], ordered[n - k], max(0.0, 1 - 2 * tail))
 
 
-def ratio_interval(first: Sequence[float], second: Sequence[float]) -> Interval:
+def ratio_interval(first: Sequence[float], second: Sequence[float], exact: tuple[bool, bool]) -> Interval:
     """Bounds of the ratio of two medians, from the intervals of both, each at half the error (Bonferroni).
 
-    A single value, as a method without seeds has, counts as exact.
+    Args:
+        first: errors of the seeds of one method.
+        second: of the other.
+        exact: whether each has no seed, so that its one value is all there is to know.
     """
-    level = LEVEL if min(len(first), len(second)) == 1 else (1 + LEVEL) / 2
+    level = LEVEL if any(exact) else (1 + LEVEL) / 2
     a, b = (
-        Interval(values[0], values[0], 1.0) if len(values) == 1 else median_interval(values, level)
-        for values in (first, second)
+        Interval(values[0], values[0], 1.0) if known else median_interval(values, level)
+        for values, known in zip((first, second), exact, strict=True)
     )
     return Interval(_ratio(a.low, b.high), _ratio(a.high, b.low), max(0.0, a.coverage + b.coverage - 1))
 
