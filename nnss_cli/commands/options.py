@@ -153,7 +153,7 @@ def as_command_line(settings: dict[str, Any]) -> str:
     """The options that give these settings, in full precision: what `with_fit_options` would turn back into them."""
     parts = []
     for name, value in settings.items():
-        option = get_args(FIT_OPTIONS[name])[1].param_decls[0]
+        option = get_args(FIT_OPTIONS[name])[1].default  # where typer keeps the first name
         if isinstance(value, bool):
             parts += [option] * value
         else:

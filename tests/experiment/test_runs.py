@@ -1,19 +1,24 @@
 """Scores, the store, and sweeps that resume and do not depend on the number of processes."""
 
+import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from nnss_cli.datasets.catalog import load
-from nnss_cli.datasets.record import Scaling
+from nnss_cli.datasets.record import Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.execute import execute, simulate_splits
+from nnss_cli.experiment.order import OrderRow, suggest_order
 from nnss_cli.experiment.run import RunResult, score_outputs
 from nnss_cli.experiment.store import Store
-from nnss_cli.experiment.sweep import check_order, plan, sweep
-from nnss_cli.methods import METHODS, Fit, select
+from nnss_cli.experiment.sweep import Plan, check_order, plan, sweep
+from nnss_cli.methods import METHODS, Fit, Method, select
+from nnss_cli.version import __version__
 
 QUICK = {"hidden": (6,), "encoder": (3,), "window": 40, "stride": 60, "batch": 8, "epochs": 2}
 NOTHING = lambda *_: None  # noqa: E731
@@ -103,7 +108,187 @@ def test_failure_and_divergence_are_results(
     monkeypatch.setattr(type(METHODS["n4sid"]), "fit", lambda *_: Fit(None, 4, "the loss became nan in epoch 4"))
     result = execute(spec, dataset, store)
     assert (result.status, result.epochs) == ("diverged", 4)
-    assert plan(store, dataset, select(["n4sid"]), [2], [0], {}, False).done == 1
+    assert len(plan(store, dataset, select(["n4sid"]), [2], [0], {}, False).done) == 1
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def planned(store: Store, methods: list[str], seeds: int = 1) -> Plan:
+    return plan(store, load(store.dataset, store.protocol), select(methods), [2], range(seeds), QUICK, False)
+
+
+def one_run(tmp_path: Path, change: Callable[[dict], object]) -> Store:
+    """A finished run whose run.json was changed."""
+    store = store_for(tmp_path)
+    dataset = load(store.dataset, store.protocol)
+    execute(planned(store, ["n4sid"]).todo[0], dataset, store)
+    edit(store.folder / "runs" / "n4sid-n2-s0" / "run.json", change)
+    return store
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda run: run["spec"].update(data="0" * 16), "another version of the data"),
+        (lambda run: run["provenance"].update(nnss="0.0.9"), f"nnss 0.0.9 instead of {__version__}"),
+        (lambda run: run["provenance"].pop("nnss"), "nnss unknown instead of"),
+        (lambda run: run["spec"].update(version="0"), "version 0 of the method instead of 1"),
+        (lambda run: run["spec"].pop("version"), "version unknown of the method"),
+    ],
+)
+def test_a_run_of_other_data_or_another_version_is_not_reused(
+    tmp_path: Path, change: Callable[[dict], object], words: str
+) -> None:
+    store = one_run(tmp_path, change)
+    with pytest.raises(InputError, match=rf"{words}.*--out.*--force"):
+        planned(store, ["n4sid"])
+    dataset = load(store.dataset, store.protocol)
+    todo = plan(store, dataset, select(["n4sid"]), [2], [0], QUICK, True).todo
+    assert [spec.label for spec in todo] == ["n4sid-n2-s0"]
+
+
+def test_other_data_are_not_mixed_in(tmp_path: Path, small_data: Callable) -> None:
+    """The same name and options, other samples."""
+    store = Store(tmp_path, "small", "strict")
+    first, second = small_data(seed=1), small_data(seed=2)
+    execute(plan(store, first, select(["n4sid"]), [2], [0], {}, False).todo[0], first, store)
+    assert not plan(store, first, select(["n4sid"]), [2], [0], {}, False).todo
+    with pytest.raises(InputError, match="another version of the data"):
+        plan(store, second, select(["n4sid"]), [2], [0], {}, False)
+
+
+def test_runs_of_other_library_versions_are_reused_and_told(tmp_path: Path) -> None:
+    store = one_run(tmp_path, lambda run: run["provenance"].update(numpy="1.26.0"))
+    todo = planned(store, ["n4sid"])
+    assert not todo.todo
+    (line,) = todo.made_elsewhere()
+    assert line.startswith("1 of the finished runs: numpy 1.26.0, here 2.")
+    assert not planned(one_run(tmp_path / "same", lambda _: None), ["n4sid"]).made_elsewhere()
+
+
+def test_an_ensemble_never_shrinks_below_the_seeds_on_disk(tmp_path: Path) -> None:
+    store = store_for(tmp_path)
+    dataset = load(store.dataset, store.protocol)
+    sweep(planned(store, ["nnss-ensemble"], seeds=4).todo, dataset, store, 1, NOTHING, NOTHING)
+    before = scores_of(store)
+    again = planned(store, ["nnss-ensemble"], seeds=2)
+    assert not again.todo
+    assert again.done[-1].spec.settings["members"] == [0, 1, 2, 3]
+    assert scores_of(store) == before
+    (store.folder / "runs" / "nnss-n2-s1" / "run.json").unlink()
+    (*_, ensemble) = planned(store, ["nnss-ensemble"], seeds=2).todo
+    assert ensemble.settings["members"] == [0, 1, 2, 3]
+
+
+def diverging(bad: set[int]) -> Callable[..., Fit]:
+    """A fit of NN-SS that diverges for some seeds."""
+    sound = type(METHODS["nnss"]).fit
+
+    def fit(self: Method, data: object, order: int, seed: int, *rest: object) -> Fit:
+        return Fit(None, 3, "the loss became nan") if seed in bad else sound(self, data, order, seed, *rest)
+
+    return fit
+
+
+@pytest.mark.parametrize("bad", [{0, 1, 2}, {1, 2}])
+def test_an_ensemble_of_diverged_members(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: set[int], nnss) -> None:
+    monkeypatch.setattr(type(METHODS["nnss"]), "fit", diverging(bad))
+    store = store_for(tmp_path)
+    dataset = load(store.dataset, store.protocol)
+    sweep(planned(store, ["nnss-ensemble", "n4sid"], seeds=3).todo, dataset, store, 1, NOTHING, NOTHING)
+    (ensemble,) = (r for r in store.results() if r.spec.method == "nnss-ensemble")
+    if len(bad) == 3:
+        assert (ensemble.status, ensemble.scores) == ("diverged", ())
+        assert ensemble.reason.startswith("none of its 3 members has a model: seed 0 diverged, seed 1 diverged")
+    else:
+        assert ensemble.status == "ok"
+        assert ensemble.remarks == ("2 of 3 members left out: seed 1 diverged, seed 2 diverged",)
+    assert nnss("report", "--out", tmp_path).code == 0  # it died on the missing signals
+    text = (store.folder / "rmse.md").read_text()
+    assert ("nnss-ensemble, order 2, seed 0: diverged: none of its 3 members" in text) == (len(bad) == 3)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.linalg.LinAlgError("singular"),
+        RuntimeError("out of range"),
+        np.linalg.LinAlgError("singular"),
+        ZeroDivisionError(),
+    ],
+)
+def test_a_numerical_error_ends_the_run_not_the_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fails(*_: object) -> Fit:
+        raise error
+
+    store = store_for(tmp_path)
+    dataset = load(store.dataset, store.protocol)
+    monkeypatch.setattr(type(METHODS["ssregest"]), "fit", fails)
+    sweep(planned(store, ["ssregest", "n4sid"]).todo, dataset, store, 1, NOTHING, NOTHING)
+    by_method = {r.spec.method: r for r in store.results()}
+    assert by_method["ssregest"].status == "failed"
+    assert by_method["ssregest"].reason == (str(error) or type(error).__name__)
+    assert by_method["n4sid"].status == "ok"
+
+
+def test_a_model_that_cannot_be_simulated_is_a_failed_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nnss_cli.baselines.linear_model import LinearModel
+
+    def fails(*_: object) -> None:
+        raise torch.linalg.LinAlgError("singular")
+
+    store = store_for(tmp_path)
+    monkeypatch.setattr(LinearModel, "simulate", fails)
+    result = execute(planned(store, ["n4sid"]).todo[0], load(store.dataset, store.protocol), store)
+    assert (result.status, result.reason, result.scores) == ("failed", "its simulation failed: singular", ())
+
+
+def test_a_method_without_model_and_reason_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = store_for(tmp_path)
+    monkeypatch.setattr(type(METHODS["n4sid"]), "fit", lambda *_: Fit(None))
+    result = execute(planned(store, ["n4sid"]).todo[0], load(store.dataset, store.protocol), store)
+    assert (result.status, result.reason) == ("failed", "the method gave no model and no reason")
+
+
+def test_remarks_of_a_fit_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = type(METHODS["n4sid"]).fit
+    monkeypatch.setattr(type(METHODS["n4sid"]), "fit", lambda *args: replace(sound(*args), remarks=("noted",)))
+    store = store_for(tmp_path)
+    execute(planned(store, ["n4sid"]).todo[0], load(store.dataset, store.protocol), store)
+    assert store.results()[0].remarks == ("noted",)
+
+
+def test_scores_are_of_all_records() -> None:
+    scaling = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+    y = [np.zeros((3, 1)), np.zeros((1, 1))]
+    (score,) = score_outputs("test", y, [np.zeros((3, 1)), np.full((1, 1), 2.0)], scaling)
+    assert score.rmse == 1.0
+
+
+def test_every_record_is_simulated_and_scored(small_data: Callable) -> None:
+    """The second record's error counts as well as the first's."""
+    dataset = small_data(K=90)
+    (record,) = dataset.test
+    model = select(["n4sid"])[0].fit(dataset.fitting, 2, 0, {"horizon": "matlab"}, None).model
+    off = Record(record.u, record.y + 5.0, record.Ts)
+    scores, signals = simulate_splits(model, replace(dataset, test=(record, off)))
+    (test,) = (s for s in scores if s.split == "test")
+    pooled = np.concatenate([signals[f"test/{i}/y_sim"] - signals[f"test/{i}/y"] for i in range(2)])
+    assert test.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-12)
+    (alone,) = (s for s in simulate_splits(model, dataset)[0] if s.split == "test")
+    assert test.rmse > 2 * alone.rmse
+
+
+@pytest.mark.parametrize(("second", "chosen"), [(1.04, 1), (1.06, 2)])
+def test_an_order_is_good_enough_within_five_percent(second: float, chosen: int) -> None:
+    rows = [OrderRow(n, 1.0, 1.0, val) for n, val in ((1, second), (2, 1.0), (3, 1.02), (4, None))]
+    assert suggest_order(rows) == chosen
 
 
 def test_damaged_runs_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,126 @@
+"""The search: what it tries is what it prints, given options stay, validation decides."""
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nnss_cli.commands.options import as_command_line
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.tune import Trial, settings_of, tune
+from nnss_cli.methods import METHODS, Fit
+
+optuna = pytest.importorskip("optuna")
+
+
+class Pretending:
+    """A method whose validation errors are made up; it keeps the settings it was asked for."""
+
+    def __init__(self, errors: list[float]) -> None:
+        self.errors = errors
+        self.tried: list[dict] = []
+
+    def fit(self, data: object, order: int, seed: int, settings: dict, on_epoch: Callable) -> Fit:
+        self.tried.append(settings)
+        for epoch, error in enumerate(self.errors, start=1):
+            on_epoch(epoch, 0.0, error)
+        return Fit(None, len(self.errors))
+
+
+def search(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, data: object, overrides: dict, errors: list[float], trials: int = 3
+) -> tuple[list[Trial], Pretending]:
+    pretending = Pretending(errors)
+    monkeypatch.setattr(type(METHODS["nnss"]), "fit", lambda _, *args: pretending.fit(*args))
+    monkeypatch.setattr(type(METHODS["nnss"]), "prepare", lambda *_: None)
+    found = tune(data, 2, trials, "tpe", 0, overrides, tmp_path / "study.db", lambda _: None)  # type: ignore[arg-type]
+    return found, pretending
+
+
+def test_a_trial_is_worth_its_best_epoch(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable) -> None:
+    found, _ = search(monkeypatch, tmp_path, small_data().fitting, {}, [3.0, 1.0, 2.0])
+    assert [trial.val_rmse for trial in found] == [1.0] * 3
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"hidden": (7,), "window": 40},
+        {"encoder": (5, 5), "consistency": 0.5, "learning_rate": 0.01, "batch": 4},
+        {"optimiser": "gauss-newton", "dtype": "float64", "epochs": 3},
+        {"window": 30, "stride": 7, "recipe": "paper"},
+    ],
+)
+def test_what_is_given_is_kept_and_what_was_tried_is_what_is_printed(
+    given: dict, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable
+) -> None:
+    data = small_data(K=300).fitting
+    found, pretending = search(monkeypatch, tmp_path, data, given, [1.0])
+    by_number = sorted(found, key=lambda trial: trial.number)
+    for trial, tried in zip(by_number, pretending.tried, strict=True):
+        assert {name: trial.settings[name] for name in given} == given
+        assert METHODS["nnss"].settings(data, 2, trial.settings) == tried
+
+
+def test_with_everything_given_there_is_nothing_to_search(small_data: Callable, tmp_path: Path) -> None:
+    given = {"hidden": (7,), "encoder": (3,), "window": 9, "consistency": 0.1, "learning_rate": 0.1, "batch": 3}
+    with pytest.raises(InputError, match="every option that it searches is given"):
+        tune(small_data().fitting, 2, 1, "tpe", 0, given, tmp_path / "study.db", lambda _: None)
+    assert not (tmp_path / "study.db").exists()
+
+
+@given(
+    st.integers(1, 6),
+    st.integers(8, 200),
+    st.integers(20, 400),
+    st.floats(1e-4, 1),
+    st.floats(1e-4, 1e-2),
+    st.booleans(),
+)
+def test_the_printed_line_gives_the_same_settings_to_the_last_digit(
+    depth: int, width: int, window: int, consistency: float, rate: float, fixed: bool
+) -> None:
+    settings = settings_of(
+        {"depth": depth, "width": width, "window": window, "consistency": consistency, "learning_rate": rate},
+        {"fixed_encoder": True} if fixed else {},
+    )
+    assert parsed(as_command_line(settings)) == settings
+
+
+def parsed(line: str) -> dict:
+    """What `nnss train` makes of a line of options."""
+    import typer
+    from typer.testing import CliRunner
+
+    from nnss_cli.commands.options import with_fit_options
+    from nnss_cli.commands.variadic import VariadicCommand
+
+    kept: dict = {}
+
+    @with_fit_options
+    def command(changes: dict | None = None) -> None:
+        kept.update(changes or {})
+
+    app = typer.Typer()
+    app.command(cls=VariadicCommand)(command)
+    outcome = CliRunner().invoke(app, shlex.split(line))
+    assert outcome.exit_code == 0, outcome.output
+    return kept
+
+
+def test_the_printed_command_trains_the_trial(nnss: Callable) -> None:
+    """`--hidden 7 --window 40` given, it printed 79 79 79 79 and 70."""
+    given = ("--hidden", "7", "--window", "40", "--epochs", "2", "--encoder", "3", "--protocol", "strict")
+    outcome = nnss("tune", "twotank-sim", "--order", "2", "--trials", "2", *given)
+    assert outcome.code == 0, outcome.err
+    line = next(line for line in outcome.out.splitlines() if "nnss train" in line)
+    trained = nnss(*shlex.split(line.partition("nnss ")[2]))
+    assert trained.code == 0, trained.err
+    settings = json.loads(Path("results/twotank-sim/strict/runs/nnss-n2-s0/run.json").read_text())["spec"]["settings"]
+    assert (settings["hidden"], settings["window"], settings["stride"]) == ([7], 40, 2)
+    assert (settings["epochs"], settings["encoder"], settings["optimiser"]) == (2, [3], "adam")
