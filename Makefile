@@ -15,7 +15,7 @@ ARGS ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow lint format reproduce studies bench clean
+.PHONY: help install demo testdata test test-slow lint format reproduce studies bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -37,10 +37,14 @@ demo: install ## A small comparison on the embedded plant: no download, about tw
 	$(NNSS) compare twotank-sim --orders 2 3 --seeds 5 --epochs 150 --out $(OUT)/demo $(ARGS)
 	@echo "box plot: $(OUT)/demo/twotank-sim/paper/boxplot.png"
 
-test: install ## Run the tests (slow ones are left out)
+# Where no folder with the real records is named or near, they are fetched; without network their tests are skipped.
+testdata: install
+	@$(BIN)/python tests/real_files.py .testdata
+
+test: install testdata ## Run the tests (slow ones are left out)
 	$(BIN)/python -m pytest -q -n 2 $(ARGS)
 
-test-slow: install ## Run the slow tests too
+test-slow: install testdata ## Run the slow tests too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
 
 # mypy does not follow the mapping of datasets/ and baselines/ into the package in an editable

@@ -4,7 +4,7 @@ from nnss_cli.machine import prepare
 
 prepare()  # as the command line does: results must not depend on the number of BLAS threads
 
-import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +14,13 @@ import pytest
 from hypothesis import settings
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
 
+sys.path.insert(0, str(Path(__file__).parent))  # tests are imported without being a package
+from real_files import folder_of_files
+
 settings.register_profile("nnss", deadline=None, derandomize=True, max_examples=40)
 settings.load_profile("nnss")
 
-REAL_FILES = Path(os.environ.get("NNSS_TEST_MIRROR", Path(__file__).parents[2] / "shared" / "datasets"))
+REAL_FILES = folder_of_files()
 
 
 @pytest.fixture(autouse=True)
@@ -32,8 +35,8 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def mirror() -> Path:
     """A folder with the real files."""
-    if not (REAL_FILES / "powerplant.dat").is_file():
-        pytest.skip(f"the real data files are not in {REAL_FILES}: set NNSS_TEST_MIRROR to a folder that has them")
+    if REAL_FILES is None:
+        pytest.skip("the real data files are not here: set NNSS_TEST_MIRROR to a folder that has them")
     return REAL_FILES
 
 

@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -96,8 +97,16 @@ def test_help_loads_nothing_heavy(args: tuple[str, ...]) -> None:
     assert not loaded_by(*args) & {"torch", "matplotlib", "scipy", "pandas"}
 
 
-def test_report_loads_no_torch(tmp_path: Path) -> None:
-    assert "torch" not in loaded_by("report", "--out", str(tmp_path))
+def test_report_loads_no_torch(tmp_path: Path, nnss: Callable) -> None:
+    """With runs of every kind of model to report on."""
+    out = str(tmp_path / "results")
+    quick = ("--epochs", "1", "--window", "40", "--stride", "100", "--hidden", "5", "--encoder", "3")
+    done = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "1", "--jobs", "1", "--out", out, *quick)
+    assert done.code == 0, done.err
+    loaded = loaded_by("report", "--out", out)
+    assert "matplotlib" in loaded  # it did report
+    assert Path(out, "report.md").exists()
+    assert "torch" not in loaded
 
 
 def test_wheel_installs_only_the_package(tmp_path: Path) -> None:

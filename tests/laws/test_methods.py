@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from nnss_cli.datasets.record import Dataset, FittingData
 
+from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.run import RunSpec
+from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS, Fit, load_model
+from nnss_cli.modelfile import read_tensors
 
 SMALL = {
     "hidden": (6,), "encoder": (3,), "window": 12, "stride": 4, "batch": 4, "epochs": 3, "dtype": "float64",
@@ -91,9 +95,39 @@ def test_the_scale_of_the_record_does_not_matter(name: str, small_data: Callable
     np.testing.assert_allclose((y_other + 3) / 0.01, y, rtol=1e-6, atol=1e-6)
 
 
-def test_fitting_data_holds_no_test_record(name: str) -> None:
+def arrays_within(thing: object) -> list[np.ndarray]:
+    """Every array that can be reached from an object."""
+    if isinstance(thing, np.ndarray):
+        return [thing]
+    if isinstance(thing, tuple | list):
+        return [array for part in thing for array in arrays_within(part)]
+    return (
+        [array for part in vars(thing).values() for array in arrays_within(part)] if hasattr(thing, "__dict__") else []
+    )
+
+
+def test_no_test_sample_can_be_reached_from_what_a_method_is_given(name: str, small_data: Callable) -> None:
     del name
-    assert "test" not in FittingData.__dataclass_fields__
+    dataset = small_data(K=300)
+    test = np.concatenate([record.y.ravel() for record in dataset.test])
+    seen = np.concatenate([array.ravel() for array in arrays_within(dataset.fitting)])
+    assert len(seen) > len(test)
+    assert not np.isin(test, seen).any()
+
+
+def test_another_test_record_gives_the_same_model(name: str, small_data: Callable, tmp_path: Path) -> None:
+    """Through all that runs a method: its choice of epoch, start and horizon included."""
+    dataset = small_data(K=300)
+    (record,) = dataset.test
+    other = Dataset(dataset.fitting, (type(record)(-record.u, 100 - 7 * record.y, record.Ts),))
+    signals = []
+    for index, one in enumerate((dataset, other)):
+        store = Store(tmp_path / str(index), one.name, "strict")
+        settings = METHODS[name].settings(one.fitting, 2, SMALL)
+        assert execute(RunSpec(one.name, "strict", name, 2, 0, settings, "0", "1"), one, store).status == "ok"
+        signals.append(read_tensors(next(store.folder.rglob("signals.safetensors"))))
+    for split in ("train", "val"):
+        np.testing.assert_array_equal(signals[0][f"{split}/0/y_sim"], signals[1][f"{split}/0/y_sim"])
 
 
 NASTY = {
@@ -111,10 +145,6 @@ NASTY = {
 def test_singular_and_short_problems_end_as_a_row_with_a_reason(name: str, kind: str, K: int, tmp_path: Path) -> None:
     from nnss_cli.datasets.record import Channels, Record, Scaling
 
-    from nnss_cli.experiment.execute import execute
-    from nnss_cli.experiment.run import RunSpec
-    from nnss_cli.experiment.store import Store
-
     u, y = NASTY[kind](np.arange(float(K)))
     records = (Record(u, y, 1.0),)
     channels = Channels(("u",), ("y",), ("V",), ("m",))
@@ -122,6 +152,7 @@ def test_singular_and_short_problems_end_as_a_row_with_a_reason(name: str, kind:
     spec = RunSpec("nasty", "strict", name, 3, 0, METHODS[name].settings(dataset.fitting, 3, SMALL), "0")
     result = execute(spec, dataset, Store(tmp_path, "nasty", "strict"))
     if result.status == "ok":
+        assert {score.split for score in result.scores} == {"train", "val", "test"}
         assert all(np.isfinite(score.rmse) for score in result.scores)
     else:
         assert result.reason
