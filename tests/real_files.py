@@ -16,7 +16,7 @@ FETCHED = Path(__file__).parents[1] / ".testdata"
 
 
 def folder_of_files() -> Path | None:
-    """The first folder that has them: NNSS_TEST_MIRROR, NNSS_MIRROR, what `make test` fetched, a checkout's neighbour."""
+    """The first that has them of NNSS_TEST_MIRROR, NNSS_MIRROR, what `make test` fetched, a checkout's neighbour."""
     named = [Path(os.environ[name]) for name in ("NNSS_TEST_MIRROR", "NNSS_MIRROR") if os.environ.get(name)]
     for folder in (*named, FETCHED, Path(__file__).parents[2] / "shared" / "datasets"):
         if all((folder / name).is_file() for name in NEEDED):
