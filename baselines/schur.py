@@ -2,8 +2,12 @@
 
     S = WᵀW + εI (2n × 2n) = [[S11, S12], [S12ᵀ, S22]],   M = ½(S11/γ² + S22) + V − Vᵀ,   A = S12 M⁻¹
 
-has ρ(A) < γ for every W and V. With the Cholesky factors S11 = L1 L1ᵀ, S22 = L2 L2ᵀ and, in S, ε (1 + tr(WᵀW)/2n)
-in the place of ε
+has ρ(A) < γ for every W and V: A v = μ v with v = M z gives |μ| = |z*S12 z| / |z*M z| < γ. Rounding moves S and M by
+about n u times their size, u the unit roundoff, so NN-SS, which runs in float32 too, adds a margin to ε,
+
+    S = WᵀW + (ε + δ (tr(WᵀW)/2n + ‖V − Vᵀ‖_F/√2)) I,   δ = 16 n u      (`schur_margin`)
+
+With the Cholesky factors S11 = L1 L1ᵀ, S22 = L2 L2ᵀ and, in S, ε (1 + tr(WᵀW)/2n) in the place of ε
 
     A = γ L1⁻¹ S12 L2⁻ᵀ
 
@@ -25,24 +29,39 @@ from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 
 EPSILON = math.exp(-10.0)
+# A step's rounding errors are those of an S off by up to 7 n u (tr(WᵀW)/2n + ‖V − Vᵀ‖_F/√2), so it was measured
+# (docs/stability.md): 2n products a sum, ‖WᵀW‖ up to its trace, the elimination, S12 z. Twice that is room.
+MARGIN = 16
 
 
-def schur_matrix(W: FloatArray, V: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -> FloatArray:
-    """A (n, n) from W (2n, 2n) and V (n, n)."""
+def schur_margin(n: int, dtype: str | np.dtype) -> float:
+    """δ = 16 n u: the share of the weights' size by which S exceeds WᵀW + εI, in this precision."""
+    return float(MARGIN * n * np.finfo(dtype).eps / 2)
+
+
+def schur_matrix(
+    W: FloatArray, V: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON, margin: float = 0.0
+) -> FloatArray:
+    """A (n, n) from W (2n, 2n) and V (n, n); `margin` is δ."""
     n = len(V)
-    S = W.T @ W + epsilon * np.eye(2 * n)
-    M = 0.5 * (S[:n, :n] / gamma**2 + S[n:, n:]) + V - V.T
+    S, K = W.T @ W, V - V.T
+    S += (epsilon + margin * (np.trace(S) / (2 * n) + np.linalg.norm(K) / math.sqrt(2))) * np.eye(2 * n)
+    M = 0.5 * (S[:n, :n] / gamma**2 + S[n:, n:]) + K
     return np.linalg.solve(M.T, S[:n, n:].T).T
 
 
 def schur_inverse(
-    A: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON, P: FloatArray | None = None
+    A: FloatArray,
+    gamma: float = 1.0,
+    epsilon: float = EPSILON,
+    P: FloatArray | None = None,
+    margin: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """W (2n, 2n) and V (n, n) with `schur_matrix(W, V)` = A, in closed form.
 
     With γ²P − A P Aᵀ positive definite, so is S = c [[γ²P, AP], [PAᵀ, P]], which
-    gives M = c P, S12 = c A P, V = 0, hence A. Any c with λmin(S) > ε will do, for W = chol(S − εI)ᵀ
-    to exist; the one taken makes the mean of S's diagonal 2, as SIMBa's random W has it, unless a
+    gives M = c P, S12 = c A P, V = 0, hence A. Any c with λmin(S) > η = (ε + δ tr(S)/2n)/(1 + δ) will do, for
+    W = chol(S − ηI)ᵀ to exist; the one taken makes the mean of S's diagonal 2, as SIMBa's random W has it, unless a
     larger one is needed. With the smallest possible c an optimiser's first steps would be far
     larger than W itself and lose the start.
 
@@ -51,9 +70,10 @@ def schur_inverse(
         gamma: bound on the spectral radius.
         epsilon: as in `schur_matrix`.
         P: positive definite (n, n); the solution of γ²P − A P Aᵀ = I where it is None.
+        margin: δ as in `schur_matrix`.
 
     Raises:
-        InputError: ρ(A) ≥ γ, so no W, V exist.
+        InputError: ρ(A) ≥ γ, or so little below that S has no room for the margin; no W, V are known then.
     """
     n = len(A)
     radius = float(np.abs(np.linalg.eigvals(A)).max())
@@ -63,8 +83,16 @@ def schur_inverse(
         P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(n)) / gamma**2
     S = np.block([[gamma**2 * P, A @ P], [P @ A.T, P]])
     S = (S + S.T) / 2
-    S *= max(2 * epsilon / np.linalg.eigvalsh(S)[0], 4 * n / np.trace(S))
-    return np.linalg.cholesky(S - epsilon * np.eye(2 * n)).T, np.zeros((n, n))
+    mean = np.trace(S) / (2 * n)
+    room = (1 + margin) * np.linalg.eigvalsh(S)[0] - 2 * margin * mean
+    if not room > 0:
+        raise InputError(
+            f"A has spectral radius {radius:.8g}: expected one further below gamma = {gamma:g}, for weights with a "
+            f"margin of {margin:.1g} for rounding; draw A in, or use float64"
+        )
+    S *= max(2 * epsilon / room, 2 / mean)
+    added = (epsilon + margin * np.trace(S) / (2 * n)) / (1 + margin)
+    return np.linalg.cholesky(S - added * np.eye(2 * n)).T, np.zeros((n, n))
 
 
 def contraction_matrix(W: FloatArray, gamma: float = 1.0, epsilon: float = EPSILON) -> FloatArray:

@@ -3,10 +3,11 @@
 A(ρ) Schur at every frozen ρ does not make x(k+1) = A(ρ(k)) x(k) + B(ρ(k)) u(k) stable: products of Schur matrices can
 grow without bound (docs/stability.md has an example). ‖A(ρ)‖₂ < γ does, for then, γ < 1,
 
-    ‖x(k)‖ ≤ γᵏ ‖x(0)‖ + sup‖B‖ sup‖u‖ / (1 − γ)
+    ‖x(k)‖ ≤ γᵏ ‖x(0)‖ + (1 − γᵏ) R ≤ max(‖x(0)‖, R),   R = sup‖B‖ sup‖u‖ / (1 − γ)
 
-The generator's last hidden layer is a sigmoid, so sup‖B‖ and sup‖C‖ follow from the last layer's weights. For
-other models a matrix P with A(ρ)ᵀ P A(ρ) ≺ P is searched, for sampled ρ only. All in normalised units.
+The generator's last hidden layer is a sigmoid, so sup‖B‖ and sup‖C‖ follow from the last layer's weights, whatever
+schedules. For other models a matrix P with A(ρ)ᵀ P A(ρ) ≺ P is searched, for sampled ρ only; of a linear model the
+only A decides. All in normalised units.
 """
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ WIDER = 0.5  # the box is the range of the trajectories, wider by this share on 
 LYAPUNOV_POINTS = 150
 STRESS_STEPS, CHUNK = 1_000_000, 20_000
 HORIZON, ASCENTS, RESTARTS = 120, 25, 8  # of the adversarial input
-MARGIN = 1e-6  # relative rounding allowed to float32 before a bound counts as broken
 INPUTS = ("zero", "highest", "lowest", "white", "sweep", "square", "adversarial", "adversarial, held")
 
 
@@ -60,24 +60,34 @@ class Certificate:
     """schur, contraction, none, or linear."""
     gamma: float
     """The promised bound: on ρ(A) for schur, on ‖A‖₂ for contraction; inf where nothing is promised."""
+    records: int
+    """Number N of records given."""
+    holds_for: str
+    """The initial states and inputs for which `state_bound` holds; "" where there is none."""
     radius: dict[str, float]
-    """Largest ρ(A) along each split's trajectory."""
+    """Largest ρ(A) along each split's trajectories."""
+    state: dict[str, float]
+    """Largest ‖x‖ along each split's trajectories."""
+    initial_state: float
+    """Largest ‖x(0)‖ of the records."""
     box_radius: float
     """Largest ρ(A) found over the box: sampled, then by gradient ascent."""
     box_norm: float
     """Largest ‖A‖₂ found likewise."""
     state_bound: float | None
-    """Certified sup‖x‖ for inputs in the data's range; None where there is none."""
-    B_bound: float | None
+    """Certified sup‖x‖ for what `holds_for` says, in exact arithmetic; None where there is none."""
+    invariant_radius: float | None
+    """R: the ball ‖x‖ ≤ R is never left under such inputs, and every state tends to it; None where there is none."""
+    B_bound: float
     """sup‖B(ρ)‖₂ from the weights."""
-    C_bound: float | None
+    C_bound: float
     """sup‖C(ρ)‖₂ from the weights."""
     input_bound: float
-    """sup‖u‖ of the data's range."""
+    """sup‖u‖ of the box of the records' inputs, at its outermost corner; any u of this norm is covered, 0 too."""
     lyapunov: str
     """What the search for a common P gave."""
     lyapunov_rate: float | None
-    """Smallest rate for which P was found, for the sampled set only; None where none was found."""
+    """Smallest rate for which P was found, for the sampled set only; ρ(A) < 1 of a linear model; else None."""
     stress: tuple[Stress, ...]
     """Long runs."""
     stress_seconds: float
@@ -97,7 +107,7 @@ def certify(
 
     Args:
         model: NNSS or LinearModel.
-        splits: records by name; their range of inputs bounds the stress runs.
+        splits: records by name; their range of inputs bounds the stress runs, which start from the largest x(0).
         steps: of each stress run.
         search_lyapunov: solve the LMI where a common Lyapunov matrix is not given by construction.
 
@@ -116,41 +126,62 @@ def certify(
         raise InputError("certify: expected at least one record, found none")
     low = np.min([record.u.min(axis=0) for record in everything], axis=0)
     high = np.max([record.u.max(axis=0) for record in everything], axis=0)
+    runs = {name: [system.trajectory(record) for record in own] for name, own in scaled.items() if own}
     points = {
-        name: np.concatenate([system.scheduling(record) for record in own]) for name, own in scaled.items() if own
+        name: np.concatenate([system.scheduling(record, *run) for record, run in zip(scaled[name], own, strict=True)])
+        for name, own in runs.items()
     }
     radius = {name: float(_radii(system.matrices(rho)).max()) for name, rho in points.items()}
+    state = {name: max(_largest(x) for _, x in own) for name, own in runs.items()}
     seen = np.concatenate(list(points.values()))
     box_radius, box_norm, extremes = _over_box(system, seen)
     lyapunov, rate = "not needed: ‖x‖² is one by construction", None
-    if system.stability != "contraction":
+    if isinstance(system, _Linear):
+        lyapunov, rate = only_lyapunov(system.system.A)
+    elif system.stability != "contraction":
         lyapunov, rate = "not searched", None
         if search_lyapunov:
             lyapunov, rate = common_lyapunov(system.matrices(_spread(seen, extremes)))
-    y0 = everything[0].y[0]
+    initial = [system.initial_state(record) for record in everything]
+    farthest = int(np.argmax([np.linalg.norm(x0) for x0 in initial]))
+    start = everything[farthest].y[0], initial[farthest]
+    largest_initial = float(np.linalg.norm(initial[farthest]))
     started = time.perf_counter()
-    worst = system.adversary(low, high, y0)
-    stress = _stress(system, worst, low, high, y0, steps)
+    worst = system.adversary(low, high, *start)
+    stress = _stress(system, worst, low, high, *start, steps)
     seconds = time.perf_counter() - started
     input_bound = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
     B_bound, C_bound = system.output_bounds()
-    bound = None
-    if system.stability == "contraction" and system.gamma < 1 and B_bound is not None:
-        bound = float(np.linalg.norm(system.initial_state(y0))) + B_bound * input_bound / (1 - system.gamma)
+    bound = invariant = None
+    holds_for, limit = "", math.inf
+    if isinstance(system, _Neural) and system.stability == "contraction" and system.gamma < 1:
+        invariant = B_bound * input_bound / (1 - system.gamma)
+        bound = max(largest_initial, invariant)
+        limit = bound * (1 + system.rounding())
+        holds_for = f"x(0) of the {len(everything)} records given, inputs within their range"
     broken = []
-    limit = system.gamma * (1 + MARGIN)
     largest = max(box_radius, *radius.values())
-    if largest >= limit:
+    if largest >= system.gamma:
         broken.append(f"spectral radius {largest:.8g}, promised below {system.gamma:g}")
-    if system.stability == "contraction" and box_norm >= limit:
+    if system.stability == "contraction" and box_norm >= system.gamma:
         broken.append(f"norm {box_norm:.8g}, promised below {system.gamma:g}")
-    for run in stress:
-        if bound is not None and run.state > bound * (1 + MARGIN):
-            broken.append(f"state {run.state:.4g} under input '{run.input}', promised at most {bound:.4g}")
+    if bound is not None:
+        reached = [(largest, f"along a record of '{name}'") for name, largest in state.items()]
+        reached += [(run.state, f"under input '{run.input}'") for run in stress]
+        broken += [f"state {x:.4g} {where}, promised at most {bound:.4g}" for x, where in reached if not x <= limit]
     return Certificate(
-        system.kind, system.stability, system.gamma, radius, box_radius, box_norm, bound, B_bound, C_bound, input_bound,
-        lyapunov, rate, stress, seconds, tuple(broken),
+        system.kind, system.stability, system.gamma, len(everything), holds_for, radius, state, largest_initial,
+        box_radius, box_norm, bound, invariant, B_bound, C_bound, input_bound, lyapunov, rate, stress, seconds,
+        tuple(broken),
     )  # fmt: skip
+
+
+def only_lyapunov(A: FloatArray) -> tuple[str, float | None]:
+    """Whether P ≻ 0 with AᵀPA ≺ P exists for one A, which is exact: where ρ(A) < 1, for any rate above ρ(A)."""
+    radius = float(np.abs(np.linalg.eigvals(A)).max())
+    if radius >= 1:
+        return f"none: ρ(A) = {radius:.6g}, and A is the only one", None
+    return "exists: ρ(A) < 1, and A is the only one", radius
 
 
 def common_lyapunov(matrices: FloatArray) -> tuple[str, float | None]:
@@ -205,9 +236,12 @@ class _Neural:
         self.stability = a.stability
         self.gamma = a.gamma if a.stability != "none" else math.inf
 
-    def scheduling(self, record: Record) -> FloatArray:
+    def trajectory(self, record: Record) -> tuple[FloatArray, FloatArray]:
+        """y (K, m) and x (K, n) of a record, simulated from y(0)."""
+        return self.weights.free_run(record.u, record.y[0])
+
+    def scheduling(self, record: Record, y: FloatArray, x: FloatArray) -> FloatArray:
         """ρ along the trajectory of a record (K, ·)."""
-        y, x = self.weights.free_run(record.u, record.y[0])
         previous = np.concatenate([record.y[:1], y[:-1]])
         parts = self.architecture.scheduling.split("+")
         rho = np.concatenate([x] + [record.u] * ("u" in parts) + [previous] * ("y" in parts), axis=1)
@@ -223,10 +257,20 @@ class _Neural:
         """A(ρ) (N, n, n)."""
         return np.asarray(self.torch_matrices(torch.tensor(rho, dtype=self.model.dtype)).numpy(), dtype=np.float64)
 
-    def initial_state(self, y0: FloatArray) -> FloatArray:
-        return self.weights.encode(np.asarray(y0, self.weights.vector.dtype)[:, None])[:, 0].astype(np.float64)
+    def initial_state(self, record: Record) -> FloatArray:
+        first = np.asarray(record.y[0], self.weights.vector.dtype)
+        return self.weights.encode(first[:, None])[:, 0].astype(np.float64)
 
-    def output_bounds(self) -> tuple[float | None, float | None]:
+    def rounding(self) -> float:
+        """Relative excess over `state_bound` that rounding explains: η/(1 − γ (1 + η)) where a step errs by η = k u.
+
+        k counts the products that an entry of B and one of x(k+1) sum up, and a sigmoid's last bit.
+        """
+        a = self.architecture
+        eta = (a.hidden[-1] + 2 * a.order + a.inputs + 2) * float(np.finfo(a.dtype).eps)
+        return eta / max(1 - self.gamma * (1 + eta), eta)
+
+    def output_bounds(self) -> tuple[float, float]:
         """sup‖B‖₂ and sup‖C‖₂: entry by entry over all outputs in [0, 1] of the last sigmoid layer."""
         a = self.architecture
         layer: Any = self.model.generator[-1]
@@ -247,8 +291,9 @@ class _Neural:
         at = [torch.tensor(part.T.copy(), dtype=self.model.dtype) for part in (x, u, y_previous)]
         return np.asarray(self.model.step(*at)[0].numpy().T)
 
-    def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray) -> FloatArray:
-        """Inputs (HORIZON, r) inside the range that drive ‖x‖ as far as gradient ascent finds."""
+    def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray, x0: FloatArray) -> FloatArray:
+        """Inputs (HORIZON, r) inside the range that drive ‖x‖ as far as gradient ascent finds, from x(0) = g(y(0))."""
+        del x0
         a, dtype = self.architecture, self.model.dtype
         random = named_random(0, "adversary")
         middle, half = torch.tensor((high + low) / 2, dtype=dtype), torch.tensor((high - low) / 2, dtype=dtype)
@@ -275,18 +320,23 @@ class _Linear:
     def __init__(self, model: LinearModel) -> None:
         self.system = model.system
 
-    def scheduling(self, record: Record) -> FloatArray:
+    def trajectory(self, record: Record) -> tuple[FloatArray, FloatArray]:
+        """y (K, m) and x (K, n) of a record, simulated from y(0)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.system.simulate(record.u, self.initial_state(record))
+
+    def scheduling(self, record: Record, y: FloatArray, x: FloatArray) -> FloatArray:
         """Nothing schedules: one point stands for all."""
-        del record
+        del record, y, x
         return np.zeros((1, 1))
 
     def matrices(self, rho: FloatArray) -> FloatArray:
         return np.repeat(self.system.A[None], len(rho), axis=0)
 
-    def initial_state(self, y0: FloatArray) -> FloatArray:
-        return self.system.state_from_output(y0, np.zeros(self.system.B.shape[1]))
+    def initial_state(self, record: Record) -> FloatArray:
+        return self.system.state_from_output(record.y[0], record.u[0])
 
-    def output_bounds(self) -> tuple[float | None, float | None]:
+    def output_bounds(self) -> tuple[float, float]:
         return float(np.linalg.norm(self.system.B, 2)), float(np.linalg.norm(self.system.C, 2))
 
     def run(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -299,7 +349,7 @@ class _Linear:
         with np.errstate(over="ignore", invalid="ignore"):
             return self.system.A @ x + self.system.B @ u
 
-    def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray) -> FloatArray:
+    def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray, x0: FloatArray) -> FloatArray:
         """For a fixed direction d of x(K) the worst input is the sign of Bᵀ (Aᵀ)^(K−1−k) d; d follows x(K) then."""
         del y0
         A, B = self.system.A, self.system.B
@@ -311,13 +361,20 @@ class _Linear:
                 for k in range(HORIZON - 1, -1, -1):
                     u[k] = np.where(B.T @ back > 0, high, low)
                     back = A.T @ back
-                x = np.zeros(len(A))
+                x = x0
                 for sample in u:
                     x = A @ x + B @ sample
             if not np.isfinite(x).all() or not np.linalg.norm(x) > 0:
                 break
             d = x / np.linalg.norm(x)
         return u
+
+
+def _largest(x: FloatArray) -> float:
+    """Largest ‖x‖ of (K, n); infinite where the state left the range of numbers."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        largest = float(np.linalg.norm(x.astype(np.float64), axis=1).max())
+    return largest if math.isfinite(largest) else math.inf
 
 
 def _radii(matrices: FloatArray) -> FloatArray:
@@ -375,14 +432,20 @@ def _spread(seen: FloatArray, extremes: FloatArray) -> FloatArray:
 
 
 def _stress(
-    system: _Neural | _Linear, worst: FloatArray, low: FloatArray, high: FloatArray, y0: FloatArray, steps: int
+    system: _Neural | _Linear,
+    worst: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    y0: FloatArray,
+    x0: FloatArray,
+    steps: int,
 ) -> tuple[Stress, ...]:
-    """Long runs under all inputs side by side, in pieces."""
+    """Long runs under all inputs side by side, in pieces, from x(0) with y(0) before it."""
     random = named_random(0, "stress")
     middle, half = (high + low) / 2, (high - low) / 2
     b = len(INPUTS)
     previous = np.repeat(np.asarray(y0, dtype=float)[:, None], b, axis=1)
-    state = np.repeat(system.initial_state(y0)[:, None], b, axis=1)
+    state = np.repeat(x0[:, None], b, axis=1)
     largest_x, largest_y, reached = np.zeros(b), np.zeros(b), np.zeros(b, dtype=int)
     for begin in range(0, steps, CHUNK):
         k = np.arange(begin, min(begin + CHUNK, steps))

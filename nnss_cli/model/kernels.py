@@ -10,11 +10,13 @@ its adjoint are then products without a transposed operand, and a weight's gradi
 block of samples and windows. The generator's weights come as one flat vector, layer by layer: matrix, then
 bias. Of V only V − Vᵀ counts, so the last layer is computed for its n(n−1)/2 entries above the diagonal.
 
-A Schur step never forms A:  M z = x,  q = W2 z,  A x = W1ᵀ q, with W = [W1 W2] and M by LU without pivoting
-(its symmetric part is positive definite). Its adjoint, for μ = ∂J/∂x(k+1) and λ = M⁻ᵀ W2ᵀ W1 μ:
+A Schur step never forms A:  M z = x,  q = W2 z,  A x = W1ᵀ q, with W = [W1 W2] and M by LU with pivoting. M's
+symmetric part H is positive definite, so that no pivot is zero without it; but where V − Vᵀ = K outweighs H, the
+factors grow like ‖K‖²/λmin(H), and rounding with them. Its adjoint, for μ = ∂J/∂x(k+1), λ = M⁻ᵀ W2ᵀ W1 μ and
+t = ½(1 + 1/γ²) δ λᵀz, due to S's margin growing with W and K:
 
-    ∂J/∂x = λ + …,   ∂J/∂M = −λ zᵀ,   ∂J/∂W1 = q μᵀ − (W1 λ zᵀ + W1 z λᵀ)/(2γ²),
-    ∂J/∂W2 = (W1 μ) zᵀ − (W2 λ zᵀ + q λᵀ)/2,   ∂J/∂(V − Vᵀ)ᵢⱼ = zᵢ λⱼ − λᵢ zⱼ for i < j
+    ∂J/∂x = λ + …,   ∂J/∂M = −λ zᵀ,   ∂J/∂W1 = q μᵀ − (W1 λ zᵀ + W1 z λᵀ)/(2γ²) − t W1/n,
+    ∂J/∂W2 = (W1 μ) zᵀ − (W2 λ zᵀ + q λᵀ)/2 − t W2/n,   ∂J/∂Kᵢⱼ = zᵢ λⱼ − λᵢ zⱼ − t √2 Kᵢⱼ/‖K‖_F for i < j
 
 `_contraction_adjoint` has the formulas of the contraction.
 
@@ -35,6 +37,8 @@ from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
+MARGIN = 16  # that of `baselines.schur`: numba's cache would not see it change there
+PIVOT = 0.125  # rows are exchanged where a pivot is smaller than this share of its column: rarely, it costs time
 ROWS = 64  # rows in a weight-gradient product, at least: a tile's sums stay in registers for so long
 # Reordering and contraction are allowed; NaN and infinity are not assumed away, so that a
 # divergence still reaches the loss.
@@ -119,12 +123,20 @@ entry = njit(cache=True, **OPTIONS)
 
 @part
 def _schur(theta: Any, x: Any, gamma: float, epsilon: float, LU: Any, z: Any, q: Any, x_next: Any) -> None:
-    """x_next = A x for A of spectral radius below γ; LU of M, z and q are for the adjoint."""
+    """x_next = A x for A of spectral radius below γ; LU of M and its n pivots' rows, z and q are for the adjoint."""
     n, b = x.shape
     g = theta.dtype.type(0.5 / gamma**2)
     half = theta.dtype.type(0.5)
-    diagonal = theta.dtype.type(0.5 * epsilon * (1 + 1 / gamma**2))
+    both = theta.dtype.type(0.5 * (1 + 1 / gamma**2))
     V = 4 * n * n
+    added, size = q[0], q[1]
+    _squares(theta, 0, V, added)
+    _squares(theta, V, n * (n - 1) // 2, size)
+    margin = _margin(theta, n)
+    share, epsilon_here = theta.dtype.type(margin / (2 * n)), theta.dtype.type(epsilon)
+    margin_here = theta.dtype.type(margin)
+    for s in range(b):
+        added[s] = both * (epsilon_here + share * added[s] + margin_here * math.sqrt(size[s]))
     for i in range(n):
         for j in range(i, n):
             upper, lower = LU[i * n + j], LU[j * n + i]
@@ -137,13 +149,17 @@ def _schur(theta: Any, x: Any, gamma: float, epsilon: float, LU: Any, z: Any, q:
                     upper[s] += g * a1[s] * a2[s] + half * b1[s] * b2[s]
             if i == j:
                 for s in range(b):
-                    upper[s] += diagonal
+                    upper[s] += added[s]
             else:
                 skew = theta[V + i * (2 * n - i - 1) // 2 + j - i - 1]
                 for s in range(b):
                     lower[s] = upper[s] - skew[s]
                     upper[s] = upper[s] + skew[s]
+    for i in range(n):
+        for s in range(b):
+            z[i, s] = x[i, s]
     for k in range(n):
+        _pivot(LU, k, z, q[0])
         pivot = LU[k * n + k]
         for i in range(k + 1, n):
             factor = LU[i * n + k]
@@ -154,8 +170,6 @@ def _schur(theta: Any, x: Any, gamma: float, epsilon: float, LU: Any, z: Any, q:
                 for s in range(b):
                     target[s] -= factor[s] * source[s]
     for i in range(n):
-        for s in range(b):
-            z[i, s] = x[i, s]
         for j in range(i):
             factor = LU[i * n + j]
             for s in range(b):
@@ -185,13 +199,58 @@ def _schur(theta: Any, x: Any, gamma: float, epsilon: float, LU: Any, z: Any, q:
 
 
 @part
+def _margin(theta: Any, n: int) -> float:
+    """δ of `baselines.schur.schur_margin`."""
+    return MARGIN * n * (2.0**-24 if theta.itemsize == 4 else 2.0**-53)
+
+
+@part
+def _squares(theta: Any, first: int, count: int, out: Any) -> None:
+    """The sum of the squares of `count` rows of θ, for each window."""
+    for s in range(out.size):
+        out[s] = 0
+    for k in range(first, first + count):
+        row = theta[k]
+        for s in range(out.size):
+            out[s] += row[s] * row[s]
+
+
+@part
+def _pivot(LU: Any, k: int, z: Any, largest: Any) -> None:
+    """Exchange row k of what is left of M, L so far and z for the one with the largest pivot, where k's is small.
+
+    Row n² + k of LU gets that row's number.
+    """
+    n, b = z.shape
+    chosen, pivot = LU[n * n + k], LU[k * n + k]
+    share = LU.dtype.type(PIVOT)
+    for s in range(b):
+        chosen[s] = k
+        largest[s] = 0
+    for i in range(k + 1, n):
+        entry = LU[i * n + k]
+        for s in range(b):
+            largest[s] = max(largest[s], abs(entry[s]))
+    for s in range(b):
+        if abs(pivot[s]) < share * largest[s]:
+            row = k
+            for i in range(k + 1, n):
+                if abs(LU[i * n + k, s]) > abs(LU[row * n + k, s]):
+                    row = i
+            chosen[s] = row
+            z[k, s], z[row, s] = z[row, s], z[k, s]
+            for j in range(n):
+                LU[k * n + j, s], LU[row * n + j, s] = LU[row * n + j, s], LU[k * n + j, s]
+
+
+@part
 def _schur_adjoint(
     theta: Any, x: Any, Ax: Any, gamma: float, epsilon: float, LU: Any, z: Any, q: Any, mu: Any,  # noqa: ARG001
     d_theta: Any, d_x: Any, work: Any,
 ) -> None:  # fmt: skip
     """∂J/∂W, ∂J/∂V and what ∂J/∂x has through A x; the module's docstring has the formulas.
 
-    `work` (n + 3, b) holds λ, then W1 μ, W1 λ and W1 z, W2 λ row by row.
+    `work` (n + 5, b) holds λ, then W1 μ, W1 λ and W1 z, W2 λ row by row, and what is due to the margin.
     """
     n, b = x.shape
     g = theta.dtype.type(0.5 / gamma**2)
@@ -228,6 +287,24 @@ def _schur_adjoint(
             factor = LU[j * n + i]
             for s in range(b):
                 lam[i, s] -= factor[s] * lam[j, s]
+    for k in range(n - 2, -1, -1):
+        chosen = LU[n * n + k]
+        for s in range(b):
+            row = int(chosen[s])
+            if row != k:
+                lam[k, s], lam[row, s] = lam[row, s], lam[k, s]
+    t, t_skew = work[n + 3], work[n + 4]
+    both = theta.dtype.type(0.5 * (1 + 1 / gamma**2) * _margin(theta, n))
+    over_n, smallest = theta.dtype.type(1 / n), theta.dtype.type(1e-30)
+    _squares(theta, V, n * (n - 1) // 2, t_skew)
+    for s in range(b):
+        t[s] = 0
+    for i in range(n):
+        for s in range(b):
+            t[s] += lam[i, s] * z[i, s]
+    for s in range(b):
+        t_skew[s] = both * t[s] / max(math.sqrt(t_skew[s]), smallest)  # V = 0, an edge: no slope
+        t[s] *= both * over_n
     for k in range(2 * n):
         w1_lam, w1_z, w2_lam = work[n], work[n + 1], work[n + 2]
         for s in range(b):
@@ -241,15 +318,17 @@ def _schur_adjoint(
                 w1_z[s] += w1[s] * z[j, s]
                 w2_lam[s] += w2[s] * lam[j, s]
         for j in range(n):
+            w1, w2 = theta[k * 2 * n + j], theta[k * 2 * n + n + j]
             d_w1, d_w2 = d_theta[k * 2 * n + j], d_theta[k * 2 * n + n + j]
             for s in range(b):
-                d_w1[s] = q[k, s] * mu[j, s] - g * (w1_lam[s] * z[j, s] + w1_z[s] * lam[j, s])
-                d_w2[s] -= half * (w2_lam[s] * z[j, s] + q[k, s] * lam[j, s])
+                d_w1[s] = q[k, s] * mu[j, s] - g * (w1_lam[s] * z[j, s] + w1_z[s] * lam[j, s]) - t[s] * w1[s]
+                d_w2[s] -= half * (w2_lam[s] * z[j, s] + q[k, s] * lam[j, s]) + t[s] * w2[s]
     for i in range(n):
         for j in range(i + 1, n):
-            d_skew = d_theta[V + i * (2 * n - i - 1) // 2 + j - i - 1]
+            at = V + i * (2 * n - i - 1) // 2 + j - i - 1
+            skew, d_skew = theta[at], d_theta[at]
             for s in range(b):
-                d_skew[s] = z[i, s] * lam[j, s] - lam[i, s] * z[j, s]
+                d_skew[s] = z[i, s] * lam[j, s] - lam[i, s] * z[j, s] - t_skew[s] * skew[s]
     for i in range(n):
         for s in range(b):
             d_x[i, s] += lam[i, s]
@@ -262,7 +341,10 @@ def _contraction(theta: Any, x: Any, gamma: float, epsilon: float, L: Any, z: An
     L1 is the lower triangle of the first n² rows of L, L2 of the others.
     """
     n, b = x.shape
-    _relative_epsilon(theta, n, epsilon, q[0])
+    one, share = theta.dtype.type(epsilon), theta.dtype.type(epsilon / (2 * n))
+    _squares(theta, 0, 4 * n * n, q[0])  # ε (1 + tr(WᵀW)/2n)
+    for s in range(b):
+        q[0, s] = one + share * q[0, s]
     for part in range(2):
         for i in range(n):
             for j in range(i + 1):
@@ -311,20 +393,6 @@ def _contraction(theta: Any, x: Any, gamma: float, epsilon: float, L: Any, z: An
     for i in range(n):
         for s in range(b):
             x_next[i, s] *= scale
-
-
-@part
-def _relative_epsilon(theta: Any, n: int, epsilon: float, out: Any) -> None:
-    """ε (1 + tr(WᵀW)/2n) of each window."""
-    one, share = theta.dtype.type(epsilon), theta.dtype.type(epsilon / (2 * n))
-    for s in range(out.size):
-        out[s] = 0
-    for k in range(4 * n * n):
-        w = theta[k]
-        for s in range(out.size):
-            out[s] += w[s] * w[s]
-    for s in range(out.size):
-        out[s] = one + share * out[s]
 
 
 @part

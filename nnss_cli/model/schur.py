@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
-from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.baselines.schur import EPSILON, schur_margin
 
 
 def schur_terms(W: Tensor, V: Tensor, gamma: float = 1.0, epsilon: float = EPSILON) -> tuple[Tensor, Tensor]:
-    """S12 and M, both (…, n, n), of which A = S12 M⁻¹.
+    """S12 and M, both (…, n, n), of which A = S12 M⁻¹, with the margin for the rounding of W's precision in S.
 
     Args:
         W: free matrices (…, 2n, 2n).
@@ -18,8 +20,11 @@ def schur_terms(W: Tensor, V: Tensor, gamma: float = 1.0, epsilon: float = EPSIL
         epsilon: added to the diagonal of S, so that S is positive definite for every W.
     """
     n = V.shape[-1]
-    S = W.mT @ W + epsilon * torch.eye(2 * n, dtype=W.dtype, device=W.device)
-    M = 0.5 * (S[..., :n, :n] / gamma**2 + S[..., n:, n:]) + V - V.mT
+    gram, K = W.mT @ W, V - V.mT
+    size = gram.diagonal(dim1=-2, dim2=-1).sum(-1) / (2 * n) + torch.linalg.matrix_norm(K) / math.sqrt(2)
+    added = epsilon + schur_margin(n, str(W.dtype).removeprefix("torch.")) * size
+    S = gram + added[..., None, None] * torch.eye(2 * n, dtype=W.dtype, device=W.device)
+    M = 0.5 * (S[..., :n, :n] / gamma**2 + S[..., n:, n:]) + K
     return S[..., :n, n:], M
 
 

@@ -189,17 +189,22 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
     promise = {
         "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
     }.get(found.stability, "nothing")  # fmt: skip
+    linear = found.kind == "linear"
+    where = "the only A" if linear else "box, sampled"
     rows = {
         "promised": promise,
         **{f"largest ρ(A), {split}": known(radius) for split, radius in found.radius.items()},
-        "largest ρ(A), box": known(found.box_radius),
-        "largest ‖A‖, box": known(found.box_norm),
+        **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
+        f"largest ρ(A), {where}": known(found.box_radius),
+        f"largest ‖A‖, {where}": known(found.box_norm),
         "certified rate": known(found.gamma) if found.stability == "contraction" else "–",
-        "certified sup‖x‖": known(found.state_bound),
+        "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
+        "invariant ball ‖x‖ ≤": known(found.invariant_radius),
+        "largest ‖x(0)‖ of the records": known(found.initial_state),
         "sup‖B‖, sup‖C‖": f"{known(found.B_bound)}, {known(found.C_bound)}",
         "sup‖u‖": known(found.input_bound),
         "common Lyapunov matrix": found.lyapunov,
-        "its rate, sampled set": known(found.lyapunov_rate),
+        "its rate" if linear else "its rate, sampled set": known(found.lyapunov_rate),
     }
     return [{"": name, "found": value} for name, value in rows.items()]
 

@@ -13,10 +13,11 @@ from typing import TypeAlias, cast
 import numpy as np
 import torch
 
-from nnss_cli.baselines.schur import contracting_basis, contraction_inverse, schur_inverse
+from nnss_cli.baselines.schur import contracting_basis, contraction_inverse, schur_inverse, schur_margin
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import Layers, set_encoder
@@ -76,6 +77,8 @@ def warm_start(model: NNSS, linear: LinearStart) -> None:
 def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
     """W (4n²,) and V (n²,), flat, for which the parametrisation gives A.
 
+    A so near to γ that the precision leaves no room for S's margin is drawn in, by the fewest doublings of INSIDE.
+
     Args:
         a: which parametrisation.
         A: ρ(A) < γ for schur, ‖A‖₂ < γ for contraction.
@@ -84,7 +87,15 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
     W: FloatArray = np.zeros((2 * a.order, 2 * a.order))
     V: FloatArray = np.zeros((a.order, a.order))
     if a.stability == "schur":
-        W, V = schur_inverse(A, a.gamma, a.epsilon, P)
+        margin = schur_margin(a.order, a.dtype)
+        for inside in (0.0, *INSIDE * 2.0 ** np.arange(14)):
+            try:
+                W, V = schur_inverse(A * (1 - inside), a.gamma, a.epsilon, P, margin)
+            except InputError:
+                if np.abs(np.linalg.eigvals(A)).max() >= a.gamma or inside > 0.5:
+                    raise
+            else:
+                break
     elif a.stability == "contraction":
         W = contraction_inverse(A, a.gamma, a.epsilon)
     else:

@@ -15,9 +15,10 @@ from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.certify import certify, common_lyapunov
-from nnss_cli.model.architecture import Architecture
+from nnss_cli.experiment.certify import _Neural, certify, common_lyapunov
+from nnss_cli.model.architecture import DTYPES, SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.report.tables import certificate_rows
 from nnss_cli.training.fast import Weights
 
 UNIT = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
@@ -49,14 +50,23 @@ def record(K: int = 60) -> Record:
     return Record(random.uniform(-1, 1, (K, 1)), np.ones((K, 1)) + 0.1 * random.standard_normal((K, 1)), 1.0)
 
 
-def random_model(seed: int, stability: str, gamma: float, scale: float = 3.0) -> NNSS:
-    a = Architecture(3, 1, 1, (8,), (4,), dtype="float64", stability=stability, gamma=gamma)
+def random_model(
+    seed: int, stability: str, gamma: float, scale: float = 3.0, scheduling: str = "x", dtype: str = "float64"
+) -> NNSS:
+    a = Architecture(3, 1, 1, (8,), (4,), scheduling, dtype=dtype, stability=stability, gamma=gamma)
     model = NNSS(a, UNIT, CHANNELS, 1.0)
-    model.initialise(np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    model.initialise(random)
     with torch.no_grad():
         for parameter in model.parameters():
-            parameter.mul_(scale)
+            parameter.add_(torch.from_numpy(0.3 * random.standard_normal(tuple(parameter.shape)))).mul_(scale)
     return model
+
+
+def from_output(y0: float, K: int = 60, low: float = -1.0, high: float = 1.0) -> Record:
+    """A record that begins at this output."""
+    random = np.random.default_rng(1)
+    return Record(random.uniform(low, high, (K, 1)), np.full((K, 1), y0), 1.0)
 
 
 def test_products_of_schur_matrices_can_grow() -> None:
@@ -82,17 +92,95 @@ def test_a_schur_model_diverges_without_input_and_under_contraction_it_cannot() 
     assert max(run.state for run in found.stress) <= found.state_bound
 
 
-@settings(max_examples=15)
-@given(st.integers(0, 10**6), st.floats(0.5, 0.99), st.floats(0.5, 30))
-def test_every_trajectory_stays_inside_the_printed_bound(seed: int, gamma: float, scale: float) -> None:
-    model = random_model(seed, "contraction", gamma, scale)
-    found = certify(model, {"train": (record(),)}, steps=2000)
+@settings(max_examples=10)
+@given(
+    st.integers(0, 10**6),
+    st.floats(0.5, 0.99),
+    st.floats(0.5, 30),
+    st.sampled_from(SCHEDULING),
+    st.sampled_from(DTYPES),
+    st.lists(st.floats(-100, 100), min_size=1, max_size=4),
+)
+def test_every_trajectory_stays_inside_the_printed_bound(
+    seed: int, gamma: float, scale: float, scheduling: str, dtype: str, starts: list[float]
+) -> None:
+    model = random_model(seed, "contraction", gamma, scale, scheduling, dtype)
+    own = [from_output(y0) for y0 in starts]
+    found = certify(model, {"train": tuple(own[:1]), "test": tuple(own[1:])}, steps=2000)
     assert found.broken == ()
     assert found.box_norm < gamma
+    assert found.records == len(starts)
     assert found.state_bound is not None
-    assert max(run.state for run in found.stress) <= found.state_bound
-    _, x = Weights(model).free_run(np.random.default_rng(seed).uniform(-1, 1, (500, 1)) * found.input_bound, np.ones(1))
-    assert np.linalg.norm(x, axis=1).max() <= found.state_bound + np.linalg.norm(x[0])
+    limit = found.state_bound * (1 + 1e-3 * (dtype == "float32"))
+    assert max(run.state for run in found.stress) <= limit
+    for each in own:
+        u = np.random.default_rng(seed).uniform(-1, 1, (500, 1)) * found.input_bound
+        _, x = Weights(model).free_run(u, each.y[0])
+        assert np.linalg.norm(x, axis=1).max() <= limit
+
+
+@pytest.mark.parametrize("splits", [("train", "train"), ("train", "test")])
+def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, str]) -> None:
+    model = random_model(0, "contraction", 0.5)
+    near, far = from_output(0.0), from_output(1e4)
+    given_records: dict[str, tuple[Record, ...]] = {}
+    for name, own in zip(splits, (near, far), strict=True):
+        given_records[name] = (*given_records.get(name, ()), own)
+    alone, found = certify(model, {"train": (near,)}, steps=100), certify(model, given_records, steps=100)
+    _, x = Weights(model).free_run(far.u, far.y[0])
+    largest = float(np.linalg.norm(x, axis=1).max())
+    assert alone.state_bound is not None
+    assert found.state_bound is not None
+    assert alone.state_bound < largest <= found.state_bound
+    assert found.state[splits[1]] == pytest.approx(largest)
+    assert found.initial_state == pytest.approx(float(np.linalg.norm(x[0])))
+    assert all(run.state >= found.initial_state * (1 - 1e-9) for run in found.stress)  # they start from the worst
+    assert found.holds_for == "x(0) of the 2 records given, inputs within their range"
+    rows = {row[""]: row["found"] for row in certificate_rows(found)}
+    assert found.holds_for in rows["certified sup‖x‖"]
+    assert rows["invariant ball ‖x‖ ≤"] == f"{found.invariant_radius:.6g}"
+
+
+def test_a_record_beyond_the_bound_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Neural, "output_bounds", lambda _: (0.0, 0.0))
+    model = random_model(1, "contraction", 0.9)
+    broken = certify(model, {"train": (from_output(0.0),), "test": (record(),)}, steps=100).broken
+    assert any("along a record of 'train'" in line and "promised at most" in line for line in broken)
+
+
+def test_the_bounds_of_B_and_C_count_biases_and_the_input_bound_is_the_corner() -> None:
+    a = Architecture(2, 2, 1, (3,), (2,), dtype="float64", stability="contraction", gamma=0.9)
+    two = Scaling(np.zeros(2), np.ones(2), np.zeros(1), np.ones(1))
+    model = NNSS(a, two, Channels(("u", "v"), ("y",), ("", ""), ("",)), 1.0)
+    B, C = np.array([[3.0, -1.0], [0.5, 2.0]]), np.array([[1.0, -4.0]])
+    with torch.no_grad():
+        model.generator[2].bias[20:].copy_(torch.from_numpy(np.concatenate([B.ravel(), C.ravel()])))
+    u = np.array([[-1.0, 0.5], [2.0, -3.0], [1.0, -1.0]])
+    found = certify(model, {"train": (Record(u, np.ones((3, 1)), 1.0),)}, steps=200)
+    assert found.B_bound == pytest.approx(np.linalg.norm(np.abs(B), 2))
+    assert found.C_bound == pytest.approx(np.linalg.norm(C, 2))
+    assert found.input_bound == pytest.approx(np.hypot(2, 3))
+    assert found.invariant_radius == pytest.approx(found.B_bound * found.input_bound / 0.1)
+    with torch.no_grad():
+        model.generator[2].weight[20:24].copy_(torch.tensor(B.ravel())[:, None] * torch.tensor([1.0, -0.25, 0.5]))
+    largest = np.abs(B) * 2.5  # 1 from the bias, 1 + ½ from the first and the third sigmoid at 1, the second at 0
+    found = certify(model, {"train": (Record(u, np.ones((3, 1)), 1.0),)}, steps=200)
+    assert found.B_bound == pytest.approx(np.linalg.norm(largest, 2))
+
+
+def test_one_matrix_is_judged_exactly() -> None:
+    # not a contraction in the Euclidean norm; D ≠ 0 moves x(0) = C⁺(y(0) − D u(0))
+    A = np.array([[0.9, 5.0], [0.0, 0.5]])
+    system = LinearStateSpace(A, np.ones((2, 1)), np.array([[1.0, 0.0]]), np.array([[2.0]]), 1.0)
+    model = LinearModel(system, UNIT, CHANNELS)
+    found = certify(model, {"train": (record(),)}, steps=200, search_lyapunov=False)
+    assert found.lyapunov_rate == pytest.approx(0.9)
+    assert "only one" in found.lyapunov
+    assert "sampled" not in found.lyapunov
+    simulated = model.simulate(record().u, record().y[0]).x
+    assert found.initial_state == pytest.approx(float(np.linalg.norm(simulated[0])))
+    assert found.state["train"] == pytest.approx(float(np.linalg.norm(simulated, axis=1).max()))
+    assert not any("sampled" in row[""] for row in certificate_rows(found))
 
 
 def test_a_broken_promise_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,6 +194,7 @@ def test_an_unstable_model_is_seen_to_diverge() -> None:
     system = LinearStateSpace(np.array([[1.05]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
     found = certify(LinearModel(system, UNIT, CHANNELS), {"train": (record(),)}, steps=40_000)
     assert found.lyapunov_rate is None
+    assert found.lyapunov.startswith("none: ρ(A) = 1.05")
     assert all(np.isinf(run.state) for run in found.stress if run.input != "zero")
     assert found.broken == ()  # nothing was promised
 
