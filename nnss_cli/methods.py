@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.windows import check_window
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import EpochCallback
 
@@ -81,20 +82,6 @@ class Method(Protocol):
         ...
 
 
-def check_window(window: int, data: FittingData) -> None:
-    """Refuse a window that no training record can fill.
-
-    Raises:
-        InputError: it is longer than the longest of them.
-    """
-    longest = max(len(record) for record in data.train)
-    if window > longest:
-        raise InputError(
-            f"window: expected at most the {longest} samples of {data.dataset}'s training record, "
-            f"found {window}; use --window"
-        )
-
-
 class NNSS:
     """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`, with one of its recipes."""
 
@@ -114,7 +101,7 @@ class NNSS:
         name = self.recipe or str(overrides.get("recipe", "best"))
         recipe = recipe_of(name, data.dataset, order).replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
-        check_window(recipe.window, data)
+        check_window(data.train, recipe.window)
         return asdict(recipe) | {"recipe": name}
 
     def prepare(self, settings: Settings) -> None:
@@ -246,9 +233,10 @@ class SIMBa:
         from nnss_cli.training.recipe import paper_recipe
 
         recipe = asdict(paper_recipe(data.dataset, order))
+        del recipe["patience_unit"]  # of NN-SS: what SIMBa's patience counts is its own
         own = {f.name for f in fields(SimbaOptions)}
         options = SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
-        check_window(options.window, data)
+        check_window(data.train, options.window)
         return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
 
     def prepare(self, settings: Settings) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,7 +39,7 @@ class Training:
     """Validation error of each epoch: RMSE of a free run in normalised units."""
 
 
-def build_engine(model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> Engine:
+def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:
     """The engine that the recipe names."""
     if recipe.engine == "reference":
         return ReferenceEngine(model, u, y, recipe)
@@ -60,7 +61,7 @@ def train_nnss(
         on_epoch: called after each epoch with its number, loss and validation error.
 
     Raises:
-        InputError: the window is longer than the training record.
+        InputError: a training record is shorter than the window.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
     train, val = data.normalised()

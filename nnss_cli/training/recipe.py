@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.errors import InputError, unknown
+from nnss_cli.iterative import PATIENCE_UNITS
 from nnss_cli.model.architecture import Architecture
 
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
-PATIENCE_UNITS = ("epochs", "steps")
 STARTS = ("random", "linear", "feedback")
 
 
@@ -76,8 +77,10 @@ class Recipe:
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        if self.window != 0 and self.window < 3:
-            raise InputError(f"window: expected at least 3 samples, or 0 for whole records, found {self.window}")
+        if self.window != 0 and self.window < SHORTEST:
+            raise InputError(
+                f"window: expected at least {SHORTEST} samples, or 0 for whole records, found {self.window}"
+            )
         if self.refine < 0:
             raise InputError(f"refine: expected at least 0, found {self.refine}")
         if not self.learning_rate > 0 or self.consistency < 0:
