@@ -77,6 +77,8 @@ class SimbaFit:
     """The model of the best validation epoch."""
     epochs: int
     """Epochs that were run."""
+    best_epoch: int
+    """Epoch of the model kept, from 1; 0 when none was finite."""
     diverged: str = ""
     """Why training was given up, or ""."""
     history: dict[str, list[float]] = field(default_factory=dict)
@@ -182,7 +184,7 @@ def train_simba(
     shuffling = named_random(seed, "shuffling")
     stopping = EarlyStopping(options.patience, improvement=0.0)
     history: dict[str, list[float]] = {"train_loss": [], "val_rmse": []}
-    kept, diverged = _system(parameters, options.gamma, train[0].Ts), ""
+    kept, best_epoch, diverged = _system(parameters, options.gamma, train[0].Ts), 0, ""
     batches = max(1, count // options.batch)
     epoch_waits = batches if options.patience_unit == "steps" else 1
     for epoch in range(1, options.epochs + 1):
@@ -210,12 +212,12 @@ def train_simba(
         history["train_loss"].append(total / batches)
         history["val_rmse"].append(error)
         if stopping.is_best(error, epoch_waits):
-            kept = system
+            kept, best_epoch = system, epoch
         if on_epoch:
             on_epoch(epoch, total / batches, error)
         if stopping.stop:
             break
-    return SimbaFit(kept, len(history["val_rmse"]), diverged, history)
+    return SimbaFit(kept, len(history["val_rmse"]), best_epoch, diverged, history)
 
 
 def _system(parameters: Parameters, gamma: float, Ts: float) -> LinearStateSpace:

@@ -51,10 +51,14 @@ class Fit:
     """The fitted model; None when the fit failed."""
     epochs: int = 0
     """Epochs that were run; 0 for methods that have none."""
+    best_epoch: int = 0
+    """Epoch of the model kept, from 1; 0 for methods that have none, and where the start was kept."""
     diverged: str = ""
     """Why an iterative method was given up, or ""."""
     history: dict[str, list[float]] = field(default_factory=dict)
     """Values per epoch, by name."""
+    remarks: tuple[str, ...] = ()
+    """What a reader of the result must know of how it came about, such as a start that was refused."""
 
 
 class Method(Protocol):
@@ -99,7 +103,7 @@ class NNSS:
         own = {f.name for f in fields(Recipe)}
         changes = {name: value for name, value in overrides.items() if name in own}
         name = self.recipe or str(overrides.get("recipe", "best"))
-        recipe = recipe_of(name, data.dataset, order).replace(**changes)
+        recipe = recipe_of(name, data.dataset, order, data.output_count).replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(data.train, recipe.window)
         return asdict(recipe) | {"recipe": name}
@@ -124,9 +128,11 @@ class NNSS:
         training = train_nnss(data, order, seed, recipe, on_epoch)
         return Fit(
             None if training.diverged else training.model,
-            training.epochs,
-            training.diverged,
-            {"train_loss": training.train_loss, "val_rmse": training.val_rmse},
+            epochs=training.epochs,
+            best_epoch=training.best_epoch,
+            diverged=training.diverged,
+            history={"train_loss": training.train_loss, "val_rmse": training.val_rmse},
+            remarks=training.remarks,
         )
 
 
@@ -257,7 +263,7 @@ class SIMBa:
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
         training = train_simba(*data.normalised(), order, seed, options, start, on_epoch)
         model = None if training.diverged else LinearModel.of(training.system, data)
-        return Fit(model, training.epochs, training.diverged, training.history)
+        return Fit(model, training.epochs, training.best_epoch, training.diverged, training.history)
 
 
 class Ensemble:

@@ -102,7 +102,11 @@ def levenberg_marquardt(
         while True:
             damped = gram.copy(order="F")
             damped[np.diag_indices(len(gram))] += damping
-            factor = scipy.linalg.cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
+            try:
+                factor = scipy.linalg.cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
+            except np.linalg.LinAlgError:  # rounding of a singular JᵀJ outweighs the damping
+                damping = max(3 * damping, np.finfo(float).eps)
+                continue
             step = scipy.linalg.cho_solve(factor, -e if many else -descent, check_finite=False)
             if many:
                 step = J.T @ step

@@ -147,15 +147,18 @@ _BEST_OF: dict[str, Recipe] = {
 }
 
 
-def recipe_of(name: str, dataset: str, order: int) -> Recipe:
-    """The recipe `paper` or `best` for a dataset and order.
+def recipe_of(name: str, dataset: str, order: int, outputs: int = 1) -> Recipe:
+    """The recipe `paper` or `best` for a dataset and order; the encoder of `best` lets all outputs through.
 
     Raises:
         InputError: there is no recipe of that name.
     """
     if name not in RECIPES:
         raise unknown("recipe", name, RECIPES)
-    return paper_recipe(dataset, order) if name == "paper" else _BEST_OF.get(dataset, _BEST)
+    if name == "paper":
+        return paper_recipe(dataset, order)
+    best = _BEST_OF.get(dataset, _BEST)
+    return best.replace(encoder=tuple(max(width, outputs) for width in best.encoder))
 
 
 def paper_recipe(dataset: str, order: int) -> Recipe:
