@@ -21,7 +21,6 @@ from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
 
-
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, torch.linalg.LinAlgError)
 """How a start may fail on poor data: too short, constant, singular."""
 

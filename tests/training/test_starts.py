@@ -1,5 +1,6 @@
 """What a training starts from where data are poor, what it says of it, and how the encoder is set for many outputs."""
 
+import itertools
 import re
 from collections.abc import Callable
 
@@ -155,7 +156,7 @@ def encoder(widths: tuple[int, ...], m: int, n: int, seed: int = 0) -> list[tupl
     sizes = (m, *widths, n)
     return [
         (random.standard_normal((after, before)), random.standard_normal(after))
-        for before, after in zip(sizes[:-1], sizes[1:], strict=True)
+        for before, after in itertools.pairwise(sizes)
     ]
 
 
