@@ -97,7 +97,7 @@ class Windows:
             own = np.flatnonzero(self.lengths == L)
             self.group[own], self.column[own] = index, np.arange(len(own))
             for stored, windows in ((self.u, u), (self.y, y)):
-                stacked = np.array([windows[i] for i in own], dtype)
+                stacked = np.array([windows[int(i)] for i in own], dtype)
                 stored.append(np.ascontiguousarray(stacked.transpose(1, 2, 0)))
 
     def __len__(self) -> int:

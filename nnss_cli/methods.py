@@ -51,14 +51,14 @@ class Fit:
     """The fitted model; None when the fit failed."""
     epochs: int = 0
     """Epochs that were run; 0 for methods that have none."""
-    best_epoch: int = 0
-    """Epoch of the model kept, from 1; 0 for methods that have none, and where the start was kept."""
     diverged: str = ""
     """Why an iterative method was given up, or ""."""
     history: dict[str, list[float]] = field(default_factory=dict)
     """Values per epoch, by name."""
     remarks: tuple[str, ...] = ()
     """What a reader of the result must know of how it came about, such as a start that was refused."""
+    best_epoch: int = 0
+    """Epoch of the model kept, from 1; 0 for methods that have none, and where the start was kept."""
 
 
 class Method(Protocol):
@@ -263,7 +263,7 @@ class SIMBa:
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
         training = train_simba(*data.normalised(), order, seed, options, start, on_epoch)
         model = None if training.diverged else LinearModel.of(training.system, data)
-        return Fit(model, training.epochs, training.best_epoch, training.diverged, training.history)
+        return Fit(model, training.epochs, training.diverged, training.history, best_epoch=training.best_epoch)
 
 
 class Ensemble:

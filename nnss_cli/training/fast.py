@@ -76,7 +76,7 @@ def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) ->
     architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
     model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
-    engine = FastEngine(model, np.ones((2, 3, 1)), np.ones((2, 3, 1)), Recipe(dtype=dtype))
+    engine = FastEngine(model, [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype))
     engine.train_batch(np.arange(2), 1)
     engine.free_run(np.ones((2, 1)), np.ones(1))
     if second_order:

@@ -21,7 +21,8 @@ from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
 
-FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, torch.linalg.LinAlgError)
+SINGULAR = torch.linalg.LinAlgError  # type: ignore[attr-defined]  # torch does not list it as exported
+FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 
 
@@ -92,7 +93,7 @@ def train_nnss(
             _lbfgs(engine, recipe.epochs, watch)
         else:
             gauss_newton(engine, y, recipe.epochs, watch.goes_on, recipe.fixed_encoder)
-    except torch.linalg.LinAlgError:  # torch refuses what the compiled step turns into numbers that are not finite
+    except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
         watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
     if start != "random" and watch.best_epoch == 0 and not watch.diverged:
         remarks += (f"validation refused every step away from the {start} start",)
