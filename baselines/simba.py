@@ -21,10 +21,10 @@ from nnss_cli.baselines.kernels import linear_adjoint
 from nnss_cli.baselines.schur import EPSILON, schur_inverse, schur_matrix
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.record import FloatArray, Record
-from nnss_cli.datasets.windows import sliding_windows
+from nnss_cli.datasets.windows import Windows, sliding_windows
 
 from nnss_cli.errors import InputError, unknown
-from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
+from nnss_cli.iterative import PATIENCE_UNITS, EarlyStopping, EpochCallback, named_random
 
 STARTS = ("n4sid", "random")
 INSIDE = 1 - 1e-6  # poles of a start on the unit circle are drawn in this far, relative to gamma
@@ -37,7 +37,7 @@ class SimbaOptions:
     start: str = "n4sid"
     """n4sid: the closed-form W, V of a given model; random: as in SIMBa's own paper."""
     window: int = 80
-    """Window length L, samples."""
+    """Window length L, samples; 0 for whole records."""
     stride: int = 2
     """Samples between the starts of neighbouring windows."""
     batch: int = 64
@@ -47,16 +47,22 @@ class SimbaOptions:
     epochs: int = 1000
     """Epochs at most."""
     patience: int = 400
-    """Epochs without an improvement of the validation error before training stops."""
+    """Epochs or steps without an improvement of the validation error before training stops."""
+    patience_unit: str = "epochs"
+    """What patience counts: epochs, or steps of the optimiser (mini-batches)."""
     gamma: float = 1.0
     """Bound on the spectral radius."""
 
     def __post_init__(self) -> None:
         if self.start not in STARTS:
             raise unknown("start of simba", self.start, STARTS)
-        for name in ("window", "stride", "batch", "epochs", "patience"):
+        if self.patience_unit not in PATIENCE_UNITS:
+            raise unknown("unit of patience", self.patience_unit, PATIENCE_UNITS)
+        for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
+        if self.window < 0:
+            raise InputError(f"window: expected a length in samples, or 0 for whole records, found {self.window}")
         if not self.learning_rate > 0 or not 0 < self.gamma <= 1:
             raise InputError(
                 f"expected a positive learning rate and 0 < gamma ≤ 1, found {self.learning_rate} and {self.gamma}"
@@ -71,6 +77,8 @@ class SimbaFit:
     """The model of the best validation epoch."""
     epochs: int
     """Epochs that were run."""
+    best_epoch: int
+    """Epoch of the model kept, from 1; 0 when none was finite."""
     diverged: str = ""
     """Why training was given up, or ""."""
     history: dict[str, list[float]] = field(default_factory=dict)
@@ -165,28 +173,32 @@ def train_simba(
         on_epoch: called after each epoch.
 
     Raises:
-        InputError: the window is longer than the training record.
+        InputError: a training record is shorter than the window.
     """
-    u, y = (np.ascontiguousarray(w.transpose(1, 2, 0)) for w in sliding_windows(train, options.window, options.stride))
-    count = u.shape[2]
-    parameters = initial_parameters(start, order, u.shape[1], y.shape[1], options.gamma, named_random(seed, "weights"))
-    space = np.empty(options.window * (order + y.shape[1]) * min(options.batch, count))
+    windows = Windows(*sliding_windows(train, options.window, options.stride))
+    count, r, m = len(windows), train[0].input_count, train[0].output_count
+    parameters = initial_parameters(start, order, r, m, options.gamma, named_random(seed, "weights"))
+    space = np.empty(int(windows.lengths.max()) * (order + m) * min(options.batch, count))
     first = {name: np.zeros_like(value) for name, value in parameters.items()}
     second = {name: np.zeros_like(value) for name, value in parameters.items()}
     shuffling = named_random(seed, "shuffling")
     stopping = EarlyStopping(options.patience, improvement=0.0)
     history: dict[str, list[float]] = {"train_loss": [], "val_rmse": []}
-    kept, diverged = _system(parameters, options.gamma, train[0].Ts), ""
+    kept, best_epoch, diverged = _system(parameters, options.gamma, train[0].Ts), 0, ""
     batches = max(1, count // options.batch)
+    epoch_waits = batches if options.patience_unit == "steps" else 1
     for epoch in range(1, options.epochs + 1):
         shuffled = shuffling.permutation(count)
         total = 0.0
         for index in range(batches):
             chosen = shuffled[index * options.batch : (index + 1) * options.batch]
-            batch = np.take(u, chosen, axis=2), np.take(y, chosen, axis=2)
-            loss, gradient = loss_and_gradient(parameters, *batch, options.gamma, space)
-            total += loss
-            for name, g in gradient.items():
+            gradients = {name: np.zeros_like(value) for name, value in parameters.items()}
+            for batch in windows.batches(chosen):
+                loss, gradient = loss_and_gradient(parameters, batch.u, batch.y, options.gamma, space)
+                total += batch.share * loss
+                for name, g in gradient.items():
+                    gradients[name] += batch.share * g
+            for name, g in gradients.items():
                 first[name] = 0.9 * first[name] + 0.1 * g
                 second[name] = 0.999 * second[name] + 0.001 * g**2
                 # the bias is corrected by the epoch's number, as in the code released with the paper
@@ -199,13 +211,13 @@ def train_simba(
         error = simulation_rms(system, val)
         history["train_loss"].append(total / batches)
         history["val_rmse"].append(error)
-        if stopping.is_best(error):
-            kept = system
+        if stopping.is_best(error, epoch_waits):
+            kept, best_epoch = system, epoch
         if on_epoch:
             on_epoch(epoch, total / batches, error)
         if stopping.stop:
             break
-    return SimbaFit(kept, len(history["val_rmse"]), diverged, history)
+    return SimbaFit(kept, len(history["val_rmse"]), best_epoch, diverged, history)
 
 
 def _system(parameters: Parameters, gamma: float, Ts: float) -> LinearStateSpace:

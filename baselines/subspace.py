@@ -54,6 +54,15 @@ def least_squares(R: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(R[:P, :P], R[:P, P], rcond=None)[0])
 
 
+def constant_channels(records: tuple[Record, ...]) -> list[str]:
+    """Which inputs and outputs do not vary within any record, such as "input u1" and "output y2"."""
+    found = []
+    for kind, name in (("input", "u"), ("output", "y")):
+        spreads = np.max([np.ptp(getattr(record, name), axis=0) for record in records], axis=0)
+        found += [f"{kind} {name}{i + 1}" for i in np.flatnonzero(spreads == 0)]
+    return found
+
+
 def observability(records: tuple[Record, ...], order: int, horizon: Horizon) -> FloatArray:
     """Extended observability matrix Γ (f·m, n).
 
@@ -66,7 +75,7 @@ def observability(records: tuple[Record, ...], order: int, horizon: Horizon) -> 
     Γ carries no singular values: the scale that MATLAB's n4sid takes.
 
     Raises:
-        InputError: fewer Hankel columns than rows, or f·m ≤ n.
+        InputError: fewer Hankel columns than rows, f·m ≤ n, or outputs that are constant.
     """
     r, m = records[0].input_count, records[0].output_count
     f, p = horizon.future, horizon.past
@@ -78,6 +87,12 @@ def observability(records: tuple[Record, ...], order: int, horizon: Horizon) -> 
             f"order {order} is too large for these records: horizons of {p} past and {f} future samples need at "
             f"least {rows} windows, the data give {columns}; use a lower order or more data"
         )
+    if not any(np.ptp(record.y[p:], axis=0).any() for record in records if len(record) > p):
+        names = [name for name in constant_channels(records) if name.startswith("output")]
+        if len(names) < m:
+            raise InputError(f"no output varies after the first {p} samples of the training records: use a lower order")
+        verb = "is" if m == 1 else "are"
+        raise InputError(f"{' and '.join(names)} {verb} constant over the training records: nothing to identify")
     L = triangularise(_hankel_blocks(records, horizon)).T
     a, b = f * r, f * r + p * channels
     if horizon.weighting == "cva":

@@ -1,35 +1,122 @@
-"""Sliding windows: the multi-step sequences that a training step sees."""
+"""Windows: the multi-step sequences that a training step sees, and those of one length side by side."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
+from numpy.typing import NDArray
 
 from nnss_cli.errors import InputError
 
+SHORTEST = 3  # samples of a window: the first may only schedule, and the consistency term begins at its second
 
-def sliding_windows(records: tuple[Record, ...], L: int, stride: int) -> tuple[FloatArray, FloatArray]:
-    """Windows of L samples that start every `stride` samples, none across two records.
+
+def check_window(records: tuple[Record, ...], L: int) -> None:
+    """Refuse windows that some training record cannot fill: its samples would not be trained on.
+
+    Args:
+        records: training experiments.
+        L: window length, samples; 0 for whole records.
+
+    Raises:
+        InputError: a record is shorter than L or than `SHORTEST`.
+    """
+    index = min(range(len(records)), key=lambda i: len(records[i]))
+    K, name = len(records[index]), f"training record {index + 1} of {len(records)}"
+    if K < SHORTEST:
+        raise InputError(f"{name}: expected at least {SHORTEST} samples, found {K}; leave it out")
+    if K < L:
+        raise InputError(
+            f"window: expected at most the {K} samples of {name}, found {L}; "
+            f"use --window {K} or less, or --window 0 for whole records"
+        )
+
+
+def sliding_windows(records: tuple[Record, ...], L: int, stride: int) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Windows of L samples that start every `stride` samples, none across two records; or each record as it is.
 
     Args:
         records: experiments.
-        L: window length, samples; 0 for whole records, cut to the shortest.
-        stride: distance between starts, samples.
+        L: window length, samples; 0 for whole records, each of its own length.
+        stride: distance between starts, samples; without meaning for whole records.
 
     Returns:
-        u (N, L, r) and y (N, L, m), with N = Σ ⌊(K − L)/stride⌋ + 1 over records of K ≥ L samples.
+        u (L, r) and y (L, m) of each of Σ ⌊(K − L)/stride⌋ + 1 windows (one a record for L = 0), as views.
 
     Raises:
-        InputError: no record is as long as a window.
+        InputError: see `check_window`.
     """
-    L = L or min(len(record) for record in records)
-    longest = max(len(record) for record in records)
-    if longest < L:
-        raise InputError(f"window: expected at most the {longest} samples of the training record, found {L}")
+    check_window(records, L)
+    u: list[FloatArray] = []
+    y: list[FloatArray] = []
+    for record in records:
+        length = L or len(record)
+        for start in range(0, len(record) - length + 1, stride):
+            u.append(record.u[start : start + length])
+            y.append(record.y[start : start + length])
+    return u, y
 
-    def cut(signals: list[FloatArray]) -> FloatArray:
-        views = [np.lib.stride_tricks.sliding_window_view(signal, L, axis=0)[::stride] for signal in signals]
-        return np.ascontiguousarray(np.concatenate(views).transpose(0, 2, 1))
 
-    usable = [record for record in records if len(record) >= L]
-    return cut([record.u for record in usable]), cut([record.y for record in usable])
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Windows of one length, to be run side by side."""
+
+    u: FloatArray
+    """Inputs (L, r, b)."""
+    y: FloatArray
+    """Outputs (L, m, b)."""
+    share: float
+    """Its samples over those of all windows it was chosen with: what its mean error counts."""
+
+
+class Windows:
+    """Windows of any lengths, stored by length: sample, channel, window, so that a mini-batch gathers the last axis."""
+
+    def __init__(
+        self, u: Sequence[FloatArray], y: Sequence[FloatArray], dtype: Any = np.float64, unscored: int = 0
+    ) -> None:
+        """Copy the windows u (L, r), y (L, m), one of each a window.
+
+        Args:
+            u: inputs.
+            y: outputs.
+            dtype: of the copies.
+            unscored: first samples of each window that enter no error.
+        """
+        self.lengths = np.array([len(window) for window in y])
+        self.unscored = unscored
+        self.group = np.empty(len(y), np.int64)  # of each window: which length it has
+        self.column = np.empty(len(y), np.int64)  # of each window: its place among those of its length
+        self.u: list[FloatArray] = []
+        self.y: list[FloatArray] = []
+        for index, L in enumerate(dict.fromkeys(self.lengths)):
+            own = np.flatnonzero(self.lengths == L)
+            self.group[own], self.column[own] = index, np.arange(len(own))
+            for stored, windows in ((self.u, u), (self.y, y)):
+                stacked = np.array([windows[int(i)] for i in own], dtype)
+                stored.append(np.ascontiguousarray(stacked.transpose(1, 2, 0)))
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def window(self, index: int) -> tuple[FloatArray, FloatArray]:
+        """u (L, r) and y (L, m) of one window, contiguous."""
+        group, column = self.group[index], self.column[index]
+        u, y = (np.ascontiguousarray(stored[group][:, :, column]) for stored in (self.u, self.y))
+        return u, y
+
+    def batches(self, chosen: NDArray[np.int64]) -> list[Batch]:
+        """The windows of these indices, one batch a length; the shares add up to 1."""
+        scored = self.lengths[chosen] - self.unscored
+        groups, total = self.group[chosen], scored.sum()
+        found = []
+        for group in np.unique(groups):
+            own = groups == group
+            columns = self.column[chosen[own]]
+            u, y = (np.take(stored[group], columns, axis=2) for stored in (self.u, self.y))
+            found.append(Batch(u, y, float(scored[own].sum() / total)))
+        return found

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+PATIENCE_UNITS = ("epochs", "steps")
+
 EpochCallback = Callable[[int, float, float], None]
 """Called after each epoch with its number, training loss and validation error."""
 

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.windows import check_window
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import EpochCallback
 
 if TYPE_CHECKING:
+    from nnss_cli.baselines.simba import SimbaOptions
     from nnss_cli.baselines.statespace import LinearStateSpace
 
 Settings = dict[str, Any]
@@ -55,7 +57,9 @@ class Fit:
     history: dict[str, list[float]] = field(default_factory=dict)
     """Values per epoch, by name."""
     remarks: tuple[str, ...] = ()
-    """What a reader of the result should know of the fit, such as that the start was kept."""
+    """What a reader of the result must know of how it came about, such as a start that was refused."""
+    best_epoch: int = 0
+    """Epoch of the model kept, from 1; 0 for methods that have none, and where the start was kept."""
 
 
 class Method(Protocol):
@@ -95,20 +99,6 @@ class Method(Protocol):
         raise NotImplementedError(f"{self.name} combines no runs")
 
 
-def check_window(window: int, data: FittingData) -> None:
-    """Refuse a window that no training record can fill.
-
-    Raises:
-        InputError: it is longer than the longest of them.
-    """
-    longest = max(len(record) for record in data.train)
-    if window > longest:
-        raise InputError(
-            f"window: expected at most the {longest} samples of {data.dataset}'s training record, "
-            f"found {window}; use --window"
-        )
-
-
 class NNSS(Method):
     """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`, with one of its recipes."""
 
@@ -126,10 +116,10 @@ class NNSS(Method):
         own = {f.name for f in fields(Recipe)}
         changes = {name: value for name, value in overrides.items() if name in own}
         name = self.recipe or str(overrides.get("recipe", "best"))
-        known = recipe_of(name, data.dataset, order)
+        known = recipe_of(name, data.dataset, order, data.output_count)
         recipe = known.replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
-        check_window(recipe.window, data)
+        check_window(data.train, recipe.window)
         # the label is the recipe's only where every field is; engines compute the same
         changed = [f for f in own if f != "engine" and getattr(recipe, f) != getattr(known, f)]
         return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
@@ -160,9 +150,11 @@ class NNSS(Method):
         training = train_nnss(data, order, seed, recipe, on_epoch)
         return Fit(
             None if training.diverged else training.model,
-            training.epochs,
-            training.diverged,
-            {"train_loss": training.train_loss, "val_rmse": training.val_rmse},
+            epochs=training.epochs,
+            best_epoch=training.best_epoch,
+            diverged=training.diverged,
+            history={"train_loss": training.train_loss, "val_rmse": training.val_rmse},
+            remarks=training.remarks,
         )
 
 
@@ -275,16 +267,25 @@ class SIMBa(Method):
     name = "simba"
     seeded = True
 
-    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+    def options(self, dataset: str, order: int, overrides: Settings) -> SimbaOptions:
         """The windows and steps of the paper's recipe, with the user's changes, and the start."""
         from nnss_cli.baselines.simba import SimbaOptions
         from nnss_cli.training.recipe import paper_recipe
 
-        recipe = asdict(paper_recipe(data.dataset, order))
+        recipe = asdict(paper_recipe(dataset, order))
+        del recipe["patience_unit"]  # of NN-SS: what SIMBa's patience counts is its own
         own = {f.name for f in fields(SimbaOptions)}
-        options = SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
-        check_window(options.window, data)
+        return SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
+
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """Its options, and the horizons of N4SID where it starts there."""
+        options = self.options(data.dataset, order, overrides)
+        check_window(data.train, options.window)
         return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
+
+    def paper_settings(self, dataset: str, order: int) -> Settings:
+        """The paper's windows, from N4SID with MATLAB's horizons."""
+        return asdict(self.options(dataset, order, {})) | {"horizon": "matlab"}
 
     def prepare(self, settings: Settings) -> None:
         """Compile its gradient, or read it from numba's cache."""
@@ -304,7 +305,7 @@ class SIMBa(Method):
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
         training = train_simba(*data.normalised(), order, seed, options, start, on_epoch)
         model = None if training.diverged else LinearModel.of(training.system, data)
-        return Fit(model, training.epochs, training.diverged, training.history)
+        return Fit(model, training.epochs, training.diverged, training.history, best_epoch=training.best_epoch)
 
 
 class Ensemble(Method):

@@ -31,12 +31,25 @@ def encoder_gradient(layers: Layers, maps: Layers, d_E: FloatArray, d_e: FloatAr
 
 
 def set_encoder(layers: Layers, E: FloatArray, e: FloatArray) -> None:
-    """Write the last layer such that the chain is E y + e, with E (n, m) and e (n,).
+    """Write the chain E y + e, with E (n, m) and e (n,).
 
-    Exact where the layers before let all outputs through: none narrower than m.
+    Where the layers before let all m outputs through, the last is set and they stay. Else, with w the narrowest
+    width, they pass on V_wᵀ y of E ≈ U_w S_w V_wᵀ, the nearest map of rank w: E itself if its rank is no more.
     """
-    A, c = encoder_map(layers, E.shape[1])[-2]
     weight, bias = layers[-1]
+    m = E.shape[1]
+    A, c = encoder_map(layers, m)[-2]
+    if np.linalg.matrix_rank(A) < m:
+        U, S, Vt = np.linalg.svd(E, full_matrices=False)
+        r = min(len(S), *(len(W) for W, _ in layers))
+        for index, (W, b) in enumerate(layers[:-1]):
+            b[:] = 0
+            W[:] = 0
+            W[:r] = Vt[:r] if index == 0 else np.eye(r, W.shape[1])
+        weight[:] = 0
+        weight[:, :r] = U[:, :r] * S[:r]
+        bias[:] = e
+        return
     weight[:] = E @ np.linalg.pinv(A)
     bias[:] = e - weight @ c
 

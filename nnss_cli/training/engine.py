@@ -5,6 +5,7 @@ Faster engines are checked against `ReferenceEngine`, so it stays close to the e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, cast
 
 import numpy as np
@@ -19,7 +20,10 @@ from nnss_cli.training.recipe import Recipe
 
 
 class Engine(Protocol):
-    """Holds the weights while they are trained."""
+    """Holds the weights while they are trained, and N windows of any lengths.
+
+    The loss over several windows is that of `training_loss`, the mean over those of one length, weighted by samples.
+    """
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
         """One Adam step on the windows of these indices; the loss before the step."""
@@ -37,8 +41,8 @@ class Engine(Protocol):
         """Errors ŷ − y of all windows simulated from the initial states x0 (N, n), with derivatives.
 
         Returns:
-            Errors (q,), their derivatives (q, p + N n) by the generator's p weights and the initial
-            states, and the states (N, K, n). Where y schedules, windows start at their second sample.
+            Errors (q,), window after window, their derivatives (q, p + N n) by the generator's p weights and
+            the initial states, and the states (K, n). Where y schedules, windows start at their second sample.
         """
         ...
 
@@ -83,20 +87,35 @@ def split_first(model: NNSS, u: Tensor, y: Tensor) -> tuple[Tensor | None, Tenso
 class ReferenceEngine:
     """torch, one operation after the other."""
 
-    def __init__(self, model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> None:
-        """Train `model` in place on windows u (N, L, r), y (N, L, m) in normalised units."""
+    def __init__(self, model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> None:
+        """Train `model` in place on windows u (L, r), y (L, m), of any lengths, in normalised units."""
         self.model = model
         self.recipe = recipe
-        self.u = torch.tensor(u, dtype=model.dtype)
-        self.y = torch.tensor(y, dtype=model.dtype)
+        self.u = [torch.tensor(window, dtype=model.dtype) for window in u]
+        self.y = [torch.tensor(window, dtype=model.dtype) for window in y]
         model.encoder.requires_grad_(not recipe.fixed_encoder)
         self.optimiser = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
 
+    def by_length(self, windows: Sequence[int]) -> list[list[int]]:
+        """The windows of these indices, those of one length together."""
+        lengths = [len(self.y[i]) for i in windows]
+        return [[i for i in windows if len(self.y[i]) == L] for L in dict.fromkeys(lengths)]
+
+    def loss(self, windows: Sequence[int]) -> Tensor:
+        """The training loss of the windows of these indices, weighted by samples."""
+        unscored = "y" in self.model.architecture.scheduling
+        samples = sum(len(self.y[i]) - unscored for i in windows)
+        parts = []
+        for chosen in self.by_length(windows):
+            u, y = (torch.stack([signal[i] for i in chosen]) for signal in (self.u, self.y))
+            share = len(chosen) * (y.shape[1] - unscored) / samples
+            parts.append(share * training_loss(self.model, u, y, self.recipe.consistency))
+        return torch.stack(parts).sum()
+
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
         """One Adam step; see `Engine`."""
-        chosen = torch.from_numpy(windows)
         self.optimiser.zero_grad(set_to_none=True)
-        loss = training_loss(self.model, self.u[chosen], self.y[chosen], self.recipe.consistency)
+        loss = self.loss(windows.tolist())
         loss.backward()
         # The released code corrects Adam's bias by the epoch's number instead of the step's.
         for state in self.optimiser.state.values():
@@ -112,7 +131,7 @@ class ReferenceEngine:
         """Loss over all windows; see `Engine`."""
         self.place(vector)
         self.optimiser.zero_grad(set_to_none=False)
-        loss = training_loss(self.model, self.u, self.y, self.recipe.consistency)
+        loss = self.loss(range(len(self.u)))
         loss.backward()
         gradient = torch.cat(
             [p.grad.ravel() if p.grad is not None else p.new_zeros(p.numel()) for p in self.model.parameters()]
@@ -122,23 +141,30 @@ class ReferenceEngine:
     def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Errors, their derivatives and the states; see `Engine`."""
         named = {name: p.detach() for name, p in self.model.named_parameters() if name.startswith("generator")}
-        y_previous, u, y = split_first(self.model, self.u, self.y)
-        begin = torch.tensor(x0, dtype=self.model.dtype)
-        y_first = y[:, 0] if y_previous is None else y_previous
+        n, N, p = self.model.architecture.order, len(self.u), sum(weight.numel() for weight in named.values())
+        errors, J, x = ([torch.empty(0)] * N for _ in range(3))
+        for chosen in self.by_length(range(N)):
+            u, y = (torch.stack([signal[i] for i in chosen]) for signal in (self.u, self.y))
+            y_previous, u, y = split_first(self.model, u, y)
+            y_first = y[:, 0] if y_previous is None else y_previous
 
-        def run(*values: Tensor) -> tuple[Tensor, Tensor]:
-            weights = dict(zip(named, values[:-1], strict=True))
-            return cast(
-                tuple[Tensor, Tensor],
-                torch.func.functional_call(self.model, weights, (u, y_first), {"x0": values[-1]}),
-            )
+            def run(*values: Tensor, u: Tensor = u, y_first: Tensor = y_first) -> tuple[Tensor, Tensor]:
+                weights = dict(zip(named, values[:-1], strict=True))
+                return cast(
+                    tuple[Tensor, Tensor],
+                    torch.func.functional_call(self.model, weights, (u, y_first), {"x0": values[-1]}),
+                )
 
-        at = (*named.values(), begin)
-        y_simulated, x = run(*at)
-        parts = torch.autograd.functional.jacobian(lambda *values: (run(*values)[0] - y).ravel(), at)
-        J = torch.cat([part.reshape(len(part), -1) for part in parts], dim=1)
-        errors = (y_simulated - y).ravel()
-        return tuple(array.numpy().astype(np.float64) for array in (errors, J, x))  # type: ignore[return-value]
+            at = (*named.values(), torch.tensor(x0[chosen], dtype=self.model.dtype))
+            y_simulated, states = run(*at)
+            parts = torch.autograd.functional.jacobian(lambda *values, run=run: run(*values)[0], at)
+            by_weights = torch.cat([part.flatten(3) for part in parts[:-1]], dim=3)  # (b, K, m, p)
+            for place, window in enumerate(chosen):
+                rows = torch.zeros(y[place].numel(), p + N * n, dtype=y.dtype)
+                rows[:, :p] = by_weights[place].flatten(0, 1)
+                rows[:, p + window * n : p + (window + 1) * n] = parts[-1][place, :, :, place].flatten(0, 1)
+                errors[window], J[window], x[window] = (y_simulated[place] - y[place]).ravel(), rows, states[place]
+        return tuple(torch.cat(found).numpy().astype(np.float64) for found in (errors, J, x))  # type: ignore[return-value]
 
     @torch.no_grad()
     def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:

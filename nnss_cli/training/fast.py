@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.windows import Windows
 from nnss_cli.model import kernels
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
@@ -74,7 +76,7 @@ def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) ->
     architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
     model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
-    engine = FastEngine(model, np.ones((2, 3, 1)), np.ones((2, 3, 1)), Recipe(dtype=dtype))
+    engine = FastEngine(model, [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype))
     engine.train_batch(np.arange(2), 1)
     engine.free_run(np.ones((2, 1)), np.ones(1))
     if second_order:
@@ -84,14 +86,13 @@ def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) ->
 class FastEngine:
     """Compiled steps; the same results as `ReferenceEngine` up to rounding."""
 
-    def __init__(self, model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> None:
-        """Train from the model's weights on windows u (N, L, r), y (N, L, m) in normalised units."""
+    def __init__(self, model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> None:
+        """Train from the model's weights on windows u (L, r), y (L, m), of any lengths, in normalised units."""
         self.model_weights = Weights(model)
         self.recipe = recipe
         dtype = self.model_weights.vector.dtype
-        # sample, channel, window: a mini-batch is then a gather along the last axis
-        self.u = np.ascontiguousarray(u.transpose(1, 2, 0), dtype)
-        self.y = np.ascontiguousarray(y.transpose(1, 2, 0), dtype)
+        # where y schedules, a window's first sample only serves as previous output
+        self.windows = Windows(u, y, dtype, unscored="y" in model.architecture.scheduling)
         self.gradient = np.zeros_like(self.model_weights.vector)
         self.moments = np.zeros_like(self.gradient), np.zeros_like(self.gradient)
         a: Architecture = model.architecture
@@ -107,14 +108,22 @@ class FastEngine:
     def loss_and_gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
         """Loss over all windows; see `Engine`."""
         self.place(vector)
-        loss = self.evaluate(np.arange(self.u.shape[2]))
+        loss = self.evaluate(np.arange(len(self.windows)))
         return loss, self.gradient.astype(np.float64)
 
     def evaluate(self, windows: NDArray[np.int64]) -> float:
-        """The training loss of these windows; its gradient is in `gradient`."""
+        """The training loss of these windows, weighted by samples; its gradient is in `gradient`."""
+        loss, gradient = 0.0, np.zeros_like(self.gradient)
+        for batch in self.windows.batches(windows):
+            loss += batch.share * self._evaluate(batch.u, batch.y)
+            gradient += batch.share * self.gradient
+        self.gradient[:] = gradient
+        return loss
+
+    def _evaluate(self, u: FloatArray, y: FloatArray) -> float:
+        """The training loss of windows of one length, u (L, r, b) and y (L, m, b); its gradient is in `gradient`."""
         weights, a = self.model_weights, self.model_weights.architecture
-        u, y = np.take(self.u, windows, axis=2), np.take(self.y, windows, axis=2)
-        L, b = len(u), len(windows)
+        L, _, b = u.shape
         needed = kernels.workspace_size(
             [int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize
         )
@@ -134,26 +143,27 @@ class FastEngine:
     def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Errors, their derivatives and the states; see `Engine`."""
         weights, a = self.model_weights, self.model_weights.architecture
-        dtype, (L, m, N), n = weights.vector.dtype, self.y.shape, a.order
-        with_y = "y" in a.scheduling
-        K, p = L - with_y, weights.generator_size
-        errors, x = np.empty((N, K, m), dtype), np.empty((N, K, n), dtype)
-        J = np.zeros((N, K, m, p + N * n), dtype)
+        dtype, n, m, p = weights.vector.dtype, a.order, a.outputs, weights.generator_size
+        with_y, N = "y" in a.scheduling, len(self.windows)
+        ends = np.cumsum(self.windows.lengths - with_y)
+        errors, x = np.empty((ends[-1], m), dtype), np.empty((ends[-1], n), dtype)
+        J = np.zeros((ends[-1], m, p + N * n), dtype)
         S0 = np.concatenate([np.zeros((n, p)), np.eye(n)], axis=1).astype(dtype)
-        for window in range(N):
-            u, y = (np.ascontiguousarray(signal[:, :, window]) for signal in (self.u, self.y))
+        for window, end in enumerate(ends):
+            u, y = self.windows.window(window)
             first = y[0]
             if with_y:
                 u, y = u[1:], y[1:]
-            own = np.empty((K, m, p + n), dtype)
+            rows = slice(end - len(y), end)
+            own = np.empty((len(y), m, p + n), dtype)
             kernels.sensitivities(
                 weights.vector, weights.widths, kernels.KINDS[a.stability],
-            "u" in a.scheduling, with_y, a.gamma, a.epsilon,
-                x0[window].astype(dtype), S0, u, first, errors[window], x[window], own,
+                "u" in a.scheduling, with_y, a.gamma, a.epsilon,
+                x0[window].astype(dtype), S0, u, first, errors[rows], x[rows], own,
             )  # fmt: skip
-            errors[window] -= y
-            J[window, :, :, :p] = own[:, :, :p]
-            J[window, :, :, p + window * n : p + (window + 1) * n] = own[:, :, p:]
+            errors[rows] -= y
+            J[rows, :, :p] = own[:, :, :p]
+            J[rows, :, p + window * n : p + (window + 1) * n] = own[:, :, p:]
         return errors.reshape(-1), J.reshape(errors.size, -1), x
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 
+from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
@@ -19,6 +21,10 @@ from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
 
+SINGULAR = torch.linalg.LinAlgError  # type: ignore[attr-defined]  # torch does not list it as exported
+FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
+"""How a start may fail on poor data: too short, constant, singular."""
+
 
 @dataclass(frozen=True)
 class Training:
@@ -29,16 +35,18 @@ class Training:
     epochs: int
     """Epochs that were run."""
     best_epoch: int
-    """Epoch of the model kept, from 1; 0 when none was finite."""
+    """Epoch of the model kept, from 1; 0 when none was finite, or none better than a linear or feedback start."""
     diverged: str = ""
     """Why the training was given up, or ""."""
     train_loss: list[float] = field(default_factory=list)
     """Mean loss of each epoch."""
     val_rmse: list[float] = field(default_factory=list)
     """Validation error of each epoch: RMSE of a free run in normalised units."""
+    remarks: tuple[str, ...] = ()
+    """What a reader of the result must know of the start and what came of it."""
 
 
-def build_engine(model: NNSS, u: FloatArray, y: FloatArray, recipe: Recipe) -> Engine:
+def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:
     """The engine that the recipe names."""
     if recipe.engine == "reference":
         return ReferenceEngine(model, u, y, recipe)
@@ -60,7 +68,7 @@ def train_nnss(
         on_epoch: called after each epoch with its number, loss and validation error.
 
     Raises:
-        InputError: the window is longer than the training record.
+        InputError: a training record is shorter than the window.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
     train, val = data.normalised()
@@ -68,28 +76,77 @@ def train_nnss(
 
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, data.scaling, data.channels, data.Ts)
-    model.initialise(named_random(seed, "weights"))
-    if recipe.initial != "random":
-        linear = linear_start(train, val, order, recipe.gamma)
-        if recipe.initial == "linear" or not feedback_start(model, linear, train, val, named_random(seed, "feedback")):
-            warm_start(model, linear)
+    start, remarks = begin(model, recipe.initial, train, val, seed)
     engine = build_engine(model, u, y, recipe)
 
     batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
     watch = _Watch(engine, val, recipe, batches, on_epoch)
-    if recipe.initial != "random":
-        watch.start()
-    if recipe.optimiser == "adam":
-        _adam(engine, len(u), batches, recipe, named_random(seed, "shuffling"), watch)
-        if recipe.refine > 0 and not watch.diverged:
-            watch.begin_again()
-            gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on, recipe.fixed_encoder)
-    elif recipe.optimiser == "lbfgs":
-        _lbfgs(engine, recipe.epochs, watch)
-    else:
-        gauss_newton(engine, y, recipe.epochs, watch.goes_on, recipe.fixed_encoder)
+    try:
+        if start != "random":
+            watch.start()
+        if recipe.optimiser == "adam":
+            _adam(engine, len(u), batches, recipe, named_random(seed, "shuffling"), watch)
+            if recipe.refine > 0 and not watch.diverged:
+                watch.begin_again()
+                gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on, recipe.fixed_encoder)
+        elif recipe.optimiser == "lbfgs":
+            _lbfgs(engine, recipe.epochs, watch)
+        else:
+            gauss_newton(engine, y, recipe.epochs, watch.goes_on, recipe.fixed_encoder)
+    except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
+        watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
+    if start != "random" and watch.best_epoch == 0 and not watch.diverged:
+        remarks += (f"validation refused every step away from the {start} start",)
     model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
-    return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors)
+    return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors, remarks)
+
+
+def begin(
+    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int
+) -> tuple[str, tuple[str, ...]]:
+    """Fill the weights of `model` with the start asked for, or with the next that these data allow.
+
+    Args:
+        model: changed in place.
+        initial: one of `STARTS`: feedback falls back to linear, linear to random.
+        train: experiments in normalised units.
+        val: validation experiments.
+        seed: of the random weights and the feedback's gain.
+
+    Returns:
+        The start that was taken, and remarks on those that were not.
+    """
+    remarks: tuple[str, ...] = ()
+
+    def draw() -> None:
+        model.initialise(named_random(seed, "weights"))
+
+    def failed(what: str, error: Exception) -> str:
+        text = " ".join(str(error).split())
+        constant = [f"; {name} is constant" for name in constant_channels(train) if name not in text]
+        return f"{what} failed ({text}{''.join(constant)})"
+
+    draw()
+    if initial == "random":
+        return initial, remarks
+    try:
+        linear = linear_start(train, val, model.architecture.order, model.architecture.gamma)
+    except FAILURES as error:
+        return "random", (f"{failed('SSEST', error)}: started from random weights",)
+    if initial == "feedback":
+        try:
+            if feedback_start(model, linear, train, val, named_random(seed, "feedback")):
+                return initial, remarks
+            remarks += ("feedback start refused: no iterate validated better than the linear model",)
+        except FAILURES as error:
+            remarks += (f"{failed('feedback start', error)}: started from the linear model",)
+            draw()  # what failed may have changed some weights
+    try:
+        warm_start(model, linear)
+    except FAILURES as error:
+        draw()
+        return "random", (*remarks, f"{failed('linear start', error)}: started from random weights")
+    return "linear", remarks
 
 
 class _Watch:

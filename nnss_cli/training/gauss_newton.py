@@ -12,7 +12,7 @@ parameter in Marquardt's method", DTU, 1999; L. Ljung, "System Identification", 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.linalg
@@ -28,13 +28,17 @@ ACCEPTED = 1e-4  # decrease found over the decrease foreseen, at least
 
 
 def gauss_newton(
-    engine: Engine, y: FloatArray, iterations: int, goes_on: Callable[[float], bool], fixed_encoder: bool = False
+    engine: Engine,
+    y: Sequence[FloatArray],
+    iterations: int,
+    goes_on: Callable[[float], bool],
+    fixed_encoder: bool = False,
 ) -> None:
     """Train the weights in `engine`.
 
     Args:
         engine: holds the weights and the windows.
-        y: outputs of the windows (N, L, m), for the encoder.
+        y: outputs of the windows, each (L, m), for the encoder.
         iterations: at most.
         goes_on: hears the mean square error of each accepted step; whether there is to be another.
         fixed_encoder: leave the encoder as it is.
@@ -49,8 +53,8 @@ def gauss_newton(
             bias = at + array.size
             at = bias + len(array)
             layers.append((vector[bias - array.size : bias].reshape(array.shape), vector[bias:at]))
-    E, e0 = encoder_map(layers, y.shape[2])[-1]
-    x0 = y[:, 0] @ E.T + e0
+    E, e0 = encoder_map(layers, y[0].shape[1])[-1]
+    x0 = np.array([window[0] for window in y]) @ E.T + e0
 
     def evaluate(point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         vector[:p] = point[:p]
@@ -59,8 +63,8 @@ def gauss_newton(
 
     def accepted(_: FloatArray, loss: float, x: FloatArray) -> bool:
         if not fixed_encoder and np.isfinite(loss):
-            known = y[:, -x.shape[1] :]
-            set_encoder(layers, *regress_encoder(known.reshape(-1, y.shape[2]), x.reshape(-1, x.shape[2])))
+            unscored = (sum(len(window) for window in y) - len(x)) // len(y)
+            set_encoder(layers, *regress_encoder(np.concatenate([window[unscored:] for window in y]), x))
         engine.place(vector)
         return goes_on(loss)
 
@@ -98,7 +102,11 @@ def levenberg_marquardt(
         while True:
             damped = gram.copy(order="F")
             damped[np.diag_indices(len(gram))] += damping
-            factor = scipy.linalg.cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
+            try:
+                factor = scipy.linalg.cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
+            except np.linalg.LinAlgError:  # rounding of a singular JᵀJ outweighs the damping
+                damping = max(3 * damping, np.finfo(float).eps)
+                continue
             step = scipy.linalg.cho_solve(factor, -e if many else -descent, check_finite=False)
             if many:
                 step = J.T @ step

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.errors import InputError, unknown
+from nnss_cli.iterative import PATIENCE_UNITS
 from nnss_cli.model.architecture import Architecture
 
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
-PATIENCE_UNITS = ("epochs", "steps")
 STARTS = ("random", "linear", "feedback")
 
 
@@ -76,8 +77,10 @@ class Recipe:
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
-        if self.window != 0 and self.window < 3:
-            raise InputError(f"window: expected at least 3 samples, or 0 for whole records, found {self.window}")
+        if self.window != 0 and self.window < SHORTEST:
+            raise InputError(
+                f"window: expected at least {SHORTEST} samples, or 0 for whole records, found {self.window}"
+            )
         if self.refine < 0:
             raise InputError(f"refine: expected at least 0, found {self.refine}")
         if not self.learning_rate > 0 or self.consistency < 0:
@@ -144,15 +147,18 @@ _BEST_OF: dict[str, Recipe] = {
 }
 
 
-def recipe_of(name: str, dataset: str, order: int) -> Recipe:
-    """The recipe `paper` or `best` for a dataset and order.
+def recipe_of(name: str, dataset: str, order: int, outputs: int = 1) -> Recipe:
+    """The recipe `paper` or `best` for a dataset and order; the encoder of `best` lets all outputs through.
 
     Raises:
         InputError: there is no recipe of that name.
     """
     if name not in RECIPES:
         raise unknown("recipe", name, RECIPES)
-    return paper_recipe(dataset, order) if name == "paper" else _BEST_OF.get(dataset, _BEST)
+    if name == "paper":
+        return paper_recipe(dataset, order)
+    best = _BEST_OF.get(dataset, _BEST)
+    return best.replace(encoder=tuple(max(width, outputs) for width in best.encoder))
 
 
 def paper_recipe(dataset: str, order: int) -> Recipe:

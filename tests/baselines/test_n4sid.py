@@ -1,6 +1,7 @@
 """Subspace identification: exact without noise, MATLAB's numbers on the paper's records, other implementations."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import ctrlsys
@@ -28,6 +29,7 @@ from nnss_cli.datasets.record import Dataset, Record
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import simulate_splits
+from nnss_cli.methods import METHODS, chosen_horizon
 
 
 def experiments(plant: LinearStateSpace, count: int, K: int, seed: int, noise: float = 0.0) -> tuple[Record, ...]:
@@ -224,3 +226,22 @@ def test_gamma_spans_the_observability_matrix(system: Callable) -> None:
     exact = np.concatenate([plant.C @ np.linalg.matrix_power(plant.A, k) for k in range(5)])
     projector = Gamma @ np.linalg.pinv(Gamma)
     np.testing.assert_allclose(projector @ exact, exact, atol=1e-8)
+
+
+def test_the_protocol_chooses_the_horizon(small_data: Callable) -> None:
+    """Paper: MATLAB's, for its tables; strict: the one that validates best, and the run's model is that one."""
+    strict = small_data(K=300).fitting
+    paper = replace(strict, protocol="paper")
+    assert (chosen_horizon(strict, {}), chosen_horizon(paper, {})) == ("auto", "matlab")
+    assert (chosen_horizon(strict, {"horizon": "matlab"}), chosen_horizon(paper, {"horizon": "auto"})) == (
+        "matlab", "auto",
+    )  # fmt: skip
+    method = METHODS["n4sid"]
+    record = strict.val[0]
+    train, val = strict.normalised()
+    y = {}
+    for data, model in ((strict, n4sid_auto(train, val, 2)[0]), (paper, n4sid(train, 2))):
+        fitted = method.fit(data, 2, 0, method.settings(data, 2, {}), None).model
+        y[data.protocol] = fitted.simulate(record.u, record.y[0]).y
+        np.testing.assert_array_equal(y[data.protocol], LinearModel.of(model, data).simulate(record.u, record.y[0]).y)
+    assert (y["strict"] != y["paper"]).any()

@@ -1,8 +1,10 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from nnss_cli.baselines import simba as module
 from nnss_cli.baselines.n4sid import n4sid
 from nnss_cli.baselines.schur import EPSILON
 from nnss_cli.baselines.simba import SimbaOptions, initial_parameters, loss_and_gradient, train_simba
@@ -10,6 +12,7 @@ from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.record import Record
 
 from nnss_cli.errors import InputError
+from nnss_cli.iterative import named_random
 from nnss_cli.model.schur import schur_matrix
 
 QUICK = SimbaOptions(window=20, stride=5, batch=8, epochs=60, learning_rate=3e-3)
@@ -81,3 +84,78 @@ def test_a_start_on_the_unit_circle_is_drawn_inside() -> None:
 def test_bad_options_are_refused(bad: dict) -> None:
     with pytest.raises(InputError):
         SimbaOptions(**bad)
+
+
+def test_training_is_adam_with_the_bias_corrected_by_the_epoch(system: Callable) -> None:
+    """Against torch, mini-batch after mini-batch: moments by the step, their correction by the epoch's number."""
+    train, val = data(system)
+    options = replace(QUICK, epochs=4, start="random")
+    fit = train_simba(train, val, 2, 3, options, None)
+    starts = range(0, len(train[0]) - options.window + 1, options.stride)
+    u, y = (
+        torch.tensor(np.array([signal[s : s + options.window] for s in starts])) for signal in (train[0].u, train[0].y)
+    )
+    initial = initial_parameters(None, 2, 1, 1, options.gamma, named_random(3, "weights"))
+    p = {name: torch.tensor(value, requires_grad=True) for name, value in initial.items()}
+    moments = {name: (torch.zeros_like(value), torch.zeros_like(value)) for name, value in p.items()}
+    shuffling = named_random(3, "shuffling")
+    for epoch in range(1, options.epochs + 1):
+        order, losses = shuffling.permutation(len(u)), []
+        for chosen in (order[b : b + options.batch] for b in range(0, len(u) - options.batch + 1, options.batch)):
+            loss = plain_torch_loss(p, u[chosen], y[chosen], options.gamma)
+            gradients = torch.autograd.grad(loss, list(p.values()))
+            losses.append(loss.item())
+            for (name, value), g in zip(list(p.items()), gradients, strict=True):
+                first, second = moments[name]
+                first, second = first + 0.1 * (g - first), second + 0.001 * (g**2 - second)
+                moments[name] = first, second
+                corrected = (second / (1 - 0.999**epoch)).sqrt() + 1e-8
+                moved = value - options.learning_rate * first / (1 - 0.9**epoch) / corrected
+                p[name] = moved.detach().requires_grad_()
+        assert fit.history["train_loss"][epoch - 1] == pytest.approx(np.mean(losses), rel=1e-8)
+
+
+def test_the_best_validation_epoch_is_kept(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    train, val = data(system)
+    for errors, best in (([3.0, 1.0, 2.0, 4.0], 2), ([3.0, 1.0], 2), ([4.0, 3.0, 2.0, 1.0], 4)):
+        following = iter(errors)
+        monkeypatch.setattr(module, "simulation_rms", lambda *_, following=following: next(following))
+        fit = train_simba(train, val, 2, 0, replace(QUICK, epochs=len(errors)), None)
+        assert (fit.best_epoch, fit.epochs) == (best, len(errors))
+        if errors == [3.0, 1.0, 2.0, 4.0]:
+            kept = fit.system
+        elif best == 2:
+            np.testing.assert_array_equal(fit.system.A, kept.A)
+        else:
+            assert (fit.system.A != kept.A).any()
+
+
+def test_patience_counts_epochs_or_mini_batches(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    train, val = data(system)
+    batches = ((300 - 20) // 5 + 1) // 8
+    options = replace(QUICK, patience=20)
+    for unit, waited in (("epochs", 20), ("steps", -(-20 // batches))):
+        following = iter([1.0] + [2.0] * 100)  # the first epoch is the best
+        monkeypatch.setattr(module, "simulation_rms", lambda *_, following=following: next(following))
+        assert train_simba(train, val, 2, 0, replace(options, patience_unit=unit), None).epochs == 1 + waited
+    with pytest.raises(InputError, match="unit of patience"):
+        SimbaOptions(patience_unit="hours")
+
+
+def test_its_patience_is_its_own_and_not_that_of_the_papers_nnss(small_data: Callable) -> None:
+    from nnss_cli.methods import METHODS
+
+    fitting = small_data().fitting
+    assert METHODS["simba"].settings(fitting, 2, {"window": 20})["patience_unit"] == "epochs"
+    assert METHODS["simba"].settings(fitting, 2, {"window": 20, "patience_unit": "steps"})["patience_unit"] == "steps"
+
+
+def test_windows_of_two_lengths_weigh_by_their_samples(system: Callable) -> None:
+    """One step from whole records of 100 and 200 samples: the loss is the mean over all 300."""
+    train, val = data(system)
+    records = train[0][:100], train[0][100:]
+    options = replace(QUICK, window=0, epochs=1)
+    fit = train_simba(records, val, 2, 0, options, None)
+    parameters = initial_parameters(None, 2, 1, 1, options.gamma, named_random(0, "weights"))
+    losses = [loss_and_gradient(parameters, r.u[:, :, None], r.y[:, :, None])[0] for r in records]
+    assert fit.history["train_loss"][0] == pytest.approx((losses[0] + 2 * losses[1]) / 3, rel=1e-12)

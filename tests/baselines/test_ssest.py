@@ -106,3 +106,28 @@ def test_the_criterion_is_not_above_matlabs(name: str, order: int, bar: float, m
     fetch(BENCHMARKS[name], mirror=str(mirror), offline=True)
     train, val = load(name, "paper").fitting.normalised()
     assert simulation_rms(ssest(train, val, order), train) <= bar
+
+
+def test_among_eligible_optima_validation_decides_and_not_training(
+    system: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two outputs, a model of too low an order: the two criteria's optima rank differently on other records."""
+    plant = LinearStateSpace(*system(5, 1, 2, seed=11), 1.0)
+    train, val = records_of(plant, 1, 0.3, K=90), records_of(plant, 2, 0.3, K=60)
+    optima: dict[str, list[LinearStateSpace]] = {"trace": [], "det": []}
+    plain = module.refine
+
+    def noting(start: LinearStateSpace, records: tuple[Record, ...], criterion: str, *args: object) -> LinearStateSpace:
+        optima[criterion].append(plain(start, records, criterion, *args))
+        return optima[criterion][-1]
+
+    monkeypatch.setattr(module, "refine", noting)
+    chosen = ssest(train, val, 2)
+    eligible = []
+    for criterion, models in optima.items():
+        values = [criterion_value(model, train, criterion) for model in models]
+        bar = values[0] + module.TOLERANCE * (abs(values[0]) if criterion == "trace" else 1.0)
+        eligible += [model for model, value in zip(models, values, strict=True) if value <= bar]
+    on_val, on_train = ([simulation_rms(model, records) for model in eligible] for records in (val, train))
+    assert on_val[int(np.argmin(on_train))] > 1.001 * min(on_val)  # the choices differ
+    assert simulation_rms(chosen, val) == min(on_val)
