@@ -96,6 +96,7 @@ class Method(Protocol):
 
     def combine(self, members: Sequence[Any], data: FittingData) -> Fit:
         """One model of the models of several seeds, at least one; only asked of a method with `members`."""
+        del members, data
         raise NotImplementedError(f"{self.name} combines no runs")
 
 

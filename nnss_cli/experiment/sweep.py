@@ -111,7 +111,7 @@ def plan(
                 kept = {r.spec.seed for r in own if not store.conflict(member, [r])}
                 spec = replace(spec, settings=spec.settings | {"members": sorted(kept | set(seeds))})
                 retrained = any((s.method, s.order) == (member.method, order) for s in todo)
-                outdated = force or retrained or store.conflict(spec, existing)
+                outdated = force or retrained or bool(store.conflict(spec, existing))
                 chosen = [spec]
             else:
                 outdated = force

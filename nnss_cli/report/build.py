@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -289,7 +290,7 @@ def _simulation(store: Store, results: Sequence[RunResult]) -> Figure | None:
     axes = _output_axes(results[0])
     title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
     return figures.draw_simulation(
-        time, measured, simulated, axes, unit, title, transient(measured[: lengths[0]]), np.cumsum(lengths)[:-1]
+        time, measured, simulated, axes, unit, title, transient(measured[: lengths[0]]), starts(lengths)
     )
 
 
@@ -302,6 +303,11 @@ def record_lengths(signals: Tensors, split: str) -> list[int]:
 def joined(signals: Tensors, split: str, name: str) -> FloatArray:
     """A signal of all records of a split, one after the other (ΣK, ·)."""
     return np.concatenate([signals[f"{split}/{i}/{name}"] for i in range(len(record_lengths(signals, split)))])
+
+
+def starts(lengths: Sequence[int]) -> list[int]:
+    """Samples at which the second and later records begin."""
+    return list(itertools.accumulate(lengths))[:-1]
 
 
 def _records(split: str, lengths: Sequence[int]) -> str:
@@ -334,7 +340,7 @@ def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
         f"(n = {result.spec.order}, seed {result.spec.seed}; {_records(split, lengths)}, measured outputs on top)"
     )
     return figures.draw_states(
-        time, joined(signals, split, "x"), measured, _output_axes(result), unit, title, np.cumsum(lengths)[:-1]
+        time, joined(signals, split, "x"), measured, _output_axes(result), unit, title, starts(lengths)
     )
 
 

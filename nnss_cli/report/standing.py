@@ -55,7 +55,10 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
             "dataset": dataset, "order": str(order), f"{method}: RMSE/σ": number(quantile(own, 0.5)),
             "runs": f"{sum(map(math.isfinite, own))}/{len(own)}",
         }  # fmt: skip
-        lower, higher, undecided, coverage = [], [], [], []
+        lower: list[str] = []
+        higher: list[str] = []
+        undecided: list[str] = []
+        coverage: list[float] = []
         for rival in rivals:
             theirs = errors.get(rival, [])
             lost = [name for name, values in ((method, own), (rival, theirs)) if fails_too_often(values)]
