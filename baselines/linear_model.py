@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
 
@@ -35,15 +36,17 @@ class LinearModel:
         """Sampling time [s]."""
         return self.system.Ts
 
-    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
-        """Free simulation from x0 = C⁺(ỹ0 − D ũ0), as the paper scores linear models.
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """Free simulation from the smallest x0 that explains the first outputs best in least squares.
+
+        From one output sample this is x0 = C⁺(ỹ0 − D ũ0), as the paper scores linear models.
 
         Args:
             u: inputs (K, r), physical units.
-            y0: first output sample (m,), physical units.
+            y_init: first output samples (w, m), or (m,) for one, physical units.
         """
         u_scaled = self.scaling.normalise_u(u)
-        x0 = self.system.state_from_output(self.scaling.normalise_y(y0), u_scaled[0])
+        x0 = self.system.state_from_outputs(self.scaling.normalise_y(np.atleast_2d(y_init)), u_scaled)
         y, x = self.system.simulate(u_scaled, x0)
         return Simulation(self.scaling.restore_y(y), x)
 

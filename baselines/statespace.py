@@ -101,6 +101,16 @@ class LinearStateSpace:
         """
         return np.linalg.pinv(self.C) @ (y0 - self.D @ u0)
 
+    def state_from_outputs(self, y: FloatArray, u: FloatArray) -> FloatArray:
+        """The smallest x0 (n,) that explains outputs y (w, m) under inputs u (≥ w, r) best in least squares."""
+        if len(y) == 1:
+            return self.state_from_output(y[0], u[0])
+        w = len(y)
+        free = propagate(self.A, np.zeros((self.order, w, self.order)), np.eye(self.order))[:, :-1]
+        forced, _ = self.simulate(u[:w], np.zeros(self.order))
+        regressor = (free @ self.C.T).reshape(self.order, -1).T
+        return np.asarray(np.linalg.lstsq(regressor, (y - forced).ravel(), rcond=None)[0])
+
     def markov(self, count: int) -> FloatArray:
         """D, CB, CAB, … (count, m, r): the same in every basis."""
         parameters = [self.D]
@@ -157,10 +167,7 @@ class LinearStateSpace:
 
     def initial_state(self, record: Record) -> FloatArray:
         """x0 (n,) that fits a record's outputs best in least squares."""
-        free = propagate(self.A, np.zeros((self.order, len(record), self.order)), np.eye(self.order))[:, :-1]
-        forced, _ = self.simulate(record.u, np.zeros(self.order))
-        regressor = (free @ self.C.T).reshape(self.order, -1).T
-        return np.asarray(np.linalg.lstsq(regressor, (record.y - forced).ravel(), rcond=None)[0])
+        return self.state_from_outputs(record.y, record.u)
 
     def to_control(self) -> Any:
         """The model as a python-control StateSpace."""

@@ -7,13 +7,13 @@ import hashlib
 import io
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from nnss_cli.datasets.record import Dataset, FloatArray, Protocol
+from nnss_cli.datasets.record import Dataset, FloatArray, Presets
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, unknown
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,28 @@ class Benchmark:
     citation: str
     """Reference to give when results are published."""
     orders: tuple[int, ...]
-    """Model orders of the paper."""
+    """Model orders that are compared unless others are asked for."""
     sources: tuple[Source, ...]
     """Places to fetch from, tried in turn; none for an embedded simulation."""
     cached_as: str
     """File name in the cache ("" for an embedded simulation)."""
-    load: Callable[[Path | None, Protocol], Dataset]
-    """Read the file (None for an embedded simulation), check its contents, split it.
+    load: Callable[[Path | None, str], Dataset]
+    """Read the file (None for an embedded simulation), check its contents, split it by a protocol.
     Raises InputError when the file is not what it should be."""
+    protocols: tuple[str, ...] = ("paper", "strict")
+    """Ways to split and scale it, the usual one first; `paper` where there is a paper to repeat."""
+    presets: Presets = field(default_factory=dict)
+    """Settings of recipes for this benchmark: recipe → order → what differs from the recipe's own."""
+
+    def check_protocol(self, name: str) -> str:
+        """The protocol of that name; the first where it is "".
+
+        Raises:
+            InputError: the dataset has none of that name; the message lists those that it has.
+        """
+        if name and name not in self.protocols:
+            raise unknown(f"protocol of {self.name}", name, self.protocols)
+        return name or self.protocols[0]
 
 
 @dataclass(frozen=True)

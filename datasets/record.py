@@ -8,31 +8,22 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nnss_cli.errors import InputError, unknown
+from nnss_cli.errors import InputError
 
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
 
-Protocol: TypeAlias = Literal["paper", "strict"]
-PROTOCOLS: tuple[Protocol, ...] = ("paper", "strict")
-SPLITS = ("train", "val", "test")
+Presets: TypeAlias = Mapping[str, Mapping[int, Mapping[str, Any]]]
+"""Recipe → order → settings; an order that is not among them takes those of the nearest."""
 
-
-def check_protocol(name: str) -> Protocol:
-    """Return `name` as a protocol.
-
-    Raises:
-        InputError: it is not one; the message lists them.
-    """
-    for protocol in PROTOCOLS:
-        if name == protocol:
-            return protocol
-    raise unknown("protocol", name, PROTOCOLS)
+FITTED_ON = ("train", "val")
+"""The splits that are no test; every other name is a test set's."""
 
 
 def _signal(name: str, values: ArrayLike) -> FloatArray:
@@ -175,7 +166,7 @@ class FittingData:
 
     dataset: str
     """Name of the dataset."""
-    protocol: Protocol
+    protocol: str
     """Which split and statistics."""
     train: tuple[Record, ...]
     """Training experiments, physical units."""
@@ -185,12 +176,18 @@ class FittingData:
     """z-score statistics (the paper's power plant takes them over all 200 rows, others over train)."""
     channels: Channels
     """Names and units."""
+    init_window: int = 1
+    """Output samples at the beginning of a record from which x(0) may be found, w; where w > 1 they are not scored."""
+    presets: Presets = field(default_factory=dict, compare=False)
+    """What a benchmark with a history lays down for recipes; empty for a record of one's own."""
 
     def __post_init__(self) -> None:
         for split, records in (("train", self.train), ("validation", self.val)):
             if not records:
                 raise InputError(f"dataset {self.dataset}: expected a {split} record, found none")
             self.check_like_first(split, records)
+        if self.init_window < 1:
+            raise InputError(f"dataset {self.dataset}: init window: expected at least 1, found {self.init_window}")
         r, m = self.input_count, self.output_count
         for owner, names, count in (
             (self.channels, ("inputs", "input_units"), r), (self.channels, ("outputs", "output_units"), m),
@@ -212,6 +209,11 @@ class FittingData:
         """
         first = self.train[0]
         for number, record in enumerate(records, start=1):
+            if self.init_window > 1 and len(record) <= self.init_window:
+                raise InputError(
+                    f"dataset {self.dataset}: {split} record {number}: expected more than the {self.init_window} "
+                    f"samples of the init window, found {len(record)}; give a shorter --init-window or a longer record"
+                )
             same_channels = (record.input_count, record.output_count) == (first.input_count, first.output_count)
             # A Ts taken from a time axis is off by rounding; 1e-9 of it is 1e-4 of a sample after 100 000 samples.
             if not (same_channels and math.isclose(record.Ts, first.Ts, rel_tol=1e-9)):
@@ -247,13 +249,19 @@ class Dataset:
 
     fitting: FittingData
     """Train, validation and scaling."""
-    test: tuple[Record, ...]
-    """Test experiments; empty where the file at hand has none."""
+    tests: Mapping[str, tuple[Record, ...]]
+    """Test experiments by the name of the test set, "test" where there is one; empty where the file has none."""
     notes: tuple[str, ...] = field(default=())
     """What a reader of the results must know, such as why there is no test."""
 
     def __post_init__(self) -> None:
-        self.fitting.check_like_first("test", self.test)
+        for name, records in self.tests.items():
+            if name in FITTED_ON or not records:
+                raise InputError(
+                    f"dataset {self.name}: test set '{name}': expected at least one record, under a name that is not "
+                    f"{' or '.join(FITTED_ON)}, found {len(records)}"
+                )
+            self.fitting.check_like_first(name, records)
 
     @property
     def name(self) -> str:
@@ -261,18 +269,19 @@ class Dataset:
         return self.fitting.dataset
 
     @property
-    def protocol(self) -> Protocol:
+    def protocol(self) -> str:
         """Which split and statistics."""
         return self.fitting.protocol
 
     def splits(self) -> dict[str, tuple[Record, ...]]:
-        """The records to score, by split; a split without records is left out."""
-        everything = {"train": self.fitting.train, "val": self.fitting.val, "test": self.test}
-        return {split: records for split, records in everything.items() if records}
+        """The records to score, by split."""
+        return {"train": self.fitting.train, "val": self.fitting.val, **self.tests}
 
     def fingerprint(self) -> str:
         """A hash of every sample and statistic: runs with equal fingerprints are comparable."""
         digest = hashlib.sha256()
+        if self.fitting.init_window > 1:
+            digest.update(f"window {self.fitting.init_window}".encode())
         for split, records in self.splits().items():
             for record in records:
                 digest.update(f"{split}{record.u.shape}{record.y.shape}{record.Ts}".encode())

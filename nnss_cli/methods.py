@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Presets, Simulation
 from nnss_cli.datasets.windows import check_window
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import EpochCallback
@@ -35,8 +35,8 @@ class Model(Protocol):
         """Sampling time [s]."""
         ...
 
-    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
-        """Free simulation of inputs (K, r) from the first output sample (m,)."""
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """Free simulation of inputs (K, r) from the x(0) that explains the first w ≥ 1 output samples (w, m) best."""
         ...
 
     def save(self, folder: Path) -> None:
@@ -82,7 +82,7 @@ class Method(Protocol):
         """
         ...
 
-    def paper_settings(self, dataset: str, order: int) -> Settings | None:
+    def paper_settings(self, presets: Presets, order: int) -> Settings | None:
         """The settings with which the paper uses this method; None where it does not."""
         return None
 
@@ -117,7 +117,7 @@ class NNSS(Method):
         own = {f.name for f in fields(Recipe)}
         changes = {name: value for name, value in overrides.items() if name in own}
         name = self.recipe or str(overrides.get("recipe", "best"))
-        known = recipe_of(name, data.dataset, order, data.output_count)
+        known = recipe_of(name, data.presets, order, data.output_count)
         recipe = known.replace(**changes)
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(data.train, recipe.window)
@@ -125,11 +125,11 @@ class NNSS(Method):
         changed = [f for f in own if f != "engine" and getattr(recipe, f) != getattr(known, f)]
         return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
 
-    def paper_settings(self, dataset: str, order: int) -> Settings:
+    def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's recipe."""
-        from nnss_cli.training.recipe import paper_recipe
+        from nnss_cli.training.recipe import recipe_of
 
-        return asdict(paper_recipe(dataset, order)) | {"recipe": "paper"}
+        return asdict(recipe_of("paper", presets, order)) | {"recipe": "paper"}
 
     def prepare(self, settings: Settings) -> None:
         """Compile the fast engine, or read it from numba's cache."""
@@ -188,7 +188,7 @@ class N4SID(Method):
         """How the horizons are chosen."""
         return {"horizon": chosen_horizon(data, overrides)}
 
-    def paper_settings(self, dataset: str, order: int) -> Settings:
+    def paper_settings(self, presets: Presets, order: int) -> Settings:
         """MATLAB's horizons."""
         return {"horizon": "matlab"}
 
@@ -213,7 +213,7 @@ class SSEST(Method):
         """Whether D is estimated."""
         return {"feedthrough": bool(overrides.get("feedthrough", False))}
 
-    def paper_settings(self, dataset: str, order: int) -> Settings:
+    def paper_settings(self, presets: Presets, order: int) -> Settings:
         """Without D."""
         return {"feedthrough": False}
 
@@ -245,7 +245,7 @@ class SSREGEST(Method):
             raise unknown("kernel", kernel, KERNELS)
         return {"kernel": kernel}
 
-    def paper_settings(self, dataset: str, order: int) -> Settings:
+    def paper_settings(self, presets: Presets, order: int) -> Settings:
         """MATLAB's default kernel."""
         return {"kernel": "tc"}
 
@@ -268,25 +268,25 @@ class SIMBa(Method):
     name = "simba"
     seeded = True
 
-    def options(self, dataset: str, order: int, overrides: Settings) -> SimbaOptions:
+    def options(self, presets: Presets, order: int, overrides: Settings) -> SimbaOptions:
         """The windows and steps of the paper's recipe, with the user's changes, and the start."""
         from nnss_cli.baselines.simba import SimbaOptions
-        from nnss_cli.training.recipe import paper_recipe
+        from nnss_cli.training.recipe import recipe_of
 
-        recipe = asdict(paper_recipe(dataset, order))
+        recipe = asdict(recipe_of("paper", presets, order))
         del recipe["patience_unit"]  # of NN-SS: what SIMBa's patience counts is its own
         own = {f.name for f in fields(SimbaOptions)}
         return SimbaOptions(**{name: value for name, value in (recipe | overrides).items() if name in own})
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Its options, and the horizons of N4SID where it starts there."""
-        options = self.options(data.dataset, order, overrides)
+        options = self.options(data.presets, order, overrides)
         check_window(data.train, options.window)
         return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
 
-    def paper_settings(self, dataset: str, order: int) -> Settings:
+    def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's windows, from N4SID with MATLAB's horizons."""
-        return asdict(self.options(dataset, order, {})) | {"horizon": "matlab"}
+        return asdict(self.options(presets, order, {})) | {"horizon": "matlab"}
 
     def prepare(self, settings: Settings) -> None:
         """Compile its gradient, or read it from numba's cache."""

@@ -101,6 +101,6 @@ def small_data() -> Callable[..., Dataset]:
         )
         train = (record[:third],)
         fitting = FittingData("small", "strict", train, (record[third : 2 * third],), Scaling.of(train), channels)
-        return Dataset(fitting, (record[2 * third :],))
+        return Dataset(fitting, {"test": (record[2 * third :],)})
 
     return make

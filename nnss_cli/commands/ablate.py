@@ -18,7 +18,7 @@ def command(
     ] = "recipe",
     orders: opt.Orders = None,
     seeds: opt.Seeds = 10,
-    protocol: opt.ProtocolName = "paper",
+    protocol: opt.ProtocolName = "",
     out: opt.Out = Path("results"),
     jobs: opt.Jobs = None,
     mirror: opt.Mirror = None,
@@ -44,5 +44,5 @@ def command(
         lambda name, count: console.print(f"{name}: {count} runs to do", highlight=False),
         lambda _: None, lambda _: None,
     )  # fmt: skip
-    print_rows(study_rows(found), f"{dataset}, protocol {protocol}: {study}, RMSE, median over seeds")
+    print_rows(study_rows(found), f"{dataset}, protocol {data.protocol}: {study}, RMSE, median over seeds")
     console.print(str(write_study(store, study, found)), soft_wrap=True, highlight=False)

@@ -14,7 +14,7 @@ def command(
     orders: opt.Orders = None,
     seeds: opt.Seeds = 10,
     methods: opt.MethodNames = None,
-    protocol: opt.ProtocolName = "paper",
+    protocol: opt.ProtocolName = "",
     out: opt.Out = Path("results"),
     jobs: opt.Jobs = None,
     mirror: opt.Mirror = None,
@@ -45,7 +45,7 @@ def command(
     require_writable(store.folder)
     engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(
-        f"{dataset}, protocol {protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
+        f"{dataset}, protocol {data.protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
         + (f" (NN-SS engine: {', '.join(engines)})" if engines else ""),
         highlight=False,
     )

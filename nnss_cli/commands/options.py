@@ -45,8 +45,9 @@ ProtocolName = Annotated[
     str,
     typer.Option(
         "--protocol",
-        metavar="paper|strict",
-        help="Split and statistics: as in the paper, or without its overlaps.",
+        metavar="NAME",
+        help="Split and statistics: paper, strict (without the paper's overlaps) or official; a dataset names its own.",
+        show_default="the dataset's first",
     ),
 ]
 Orders = Annotated[

@@ -14,7 +14,7 @@ from nnss_cli.errors import InputError
 def command(
     dataset: opt.DatasetName,
     largest: Annotated[int, typer.Option("--max-order", metavar="N", help="Largest order to look at.")] = 10,
-    protocol: opt.ProtocolName = "paper",
+    protocol: opt.ProtocolName = "",
     out: opt.Out = Path("results"),
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
@@ -35,7 +35,7 @@ def command(
     rows = order_table(data.fitting, largest)
     chosen = suggest_order(rows)
     require_writable(folder)
-    title = f"{dataset}, protocol {protocol}: N4SID by order (RMSE/σ)"
+    title = f"{dataset}, protocol {data.protocol}: N4SID by order (RMSE/σ)"
     print_rows(order_rows(rows, chosen), title, text_columns=1)
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
     for path in write_orders(rows, chosen, folder, title):

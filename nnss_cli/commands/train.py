@@ -16,7 +16,7 @@ def command(
     order: Annotated[int, typer.Option("--order", metavar="N", help="Number of states n.")],
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of weights and shuffling.", min=0)] = 0,
     method: Annotated[str, typer.Option("--method", metavar="NAME", help="Method to train.")] = "nnss",
-    protocol: opt.ProtocolName = "paper",
+    protocol: opt.ProtocolName = "",
     out: opt.Out = Path("results"),
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
@@ -52,6 +52,6 @@ def command(
         console.print(f"Note: {note}", soft_wrap=True, highlight=False)
     print_rows(
         score_rows(result),
-        f"{dataset}, protocol {protocol}, {method}, order {order}, seed {result.spec.seed}",
+        f"{dataset}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
     )
     console.print(f"Model: {store.run_folder(result.spec)}", soft_wrap=True, highlight=False)

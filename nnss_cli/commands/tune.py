@@ -22,7 +22,7 @@ def command(
         str, typer.Option("--sampler", metavar="tpe|gp", help="Parzen estimator, or Gaussian process as in the paper.")
     ] = "tpe",
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the weights and the search.", min=0)] = 0,
-    protocol: opt.ProtocolName = "paper",
+    protocol: opt.ProtocolName = "",
     out: opt.Out = Path("results"),
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
@@ -52,9 +52,11 @@ def command(
         console.print(f"trial {trial.number}: {trial.state}, val RMSE/σ {trial.val_rmse:.4g}", highlight=False)
 
     found = tune(data.fitting, order, trials, sampler, seed, changes or {}, storage, tell)
-    print_rows(trial_rows(found[:10]), f"{dataset}, protocol {protocol}, order {order}: best of {len(found)} trials")
+    print_rows(
+        trial_rows(found[:10]), f"{dataset}, protocol {data.protocol}, order {order}: best of {len(found)} trials"
+    )
     if found[0].state == "complete":
-        protocol_option = "" if protocol == "paper" else f" --protocol {protocol}"
+        protocol_option = "" if protocol == "paper" else f" --protocol {data.protocol}"
         options = opt.as_command_line(found[0].settings)
         line = f"nnss train {dataset} --order {order} --seed {seed}{protocol_option} {options}"
         console.print("Train the best one:", line, soft_wrap=True, highlight=False)

@@ -96,11 +96,16 @@ def _sentence(error: Exception) -> str:
 
 
 def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensors]:
-    """Free simulation of every record from its first output sample: the scores and the signals."""
+    """Free simulation of every record from its first output samples: the scores and the signals.
+
+    Where more than one sample tells x(0), these are not scored.
+    """
+    window = dataset.fitting.init_window
+    begin = window if window > 1 else 0
     scores: list[Score] = []
     signals: Tensors = {}
     for split, records in dataset.splits().items():
-        simulations = [model.simulate(record.u, record.y[0]) for record in records]
+        simulations = [model.simulate(record.u, record.y[:window]) for record in records]
         for index, (record, simulation) in enumerate(zip(records, simulations, strict=True)):
             prefix = f"{split}/{index}"
             signals |= {
@@ -108,7 +113,7 @@ def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensor
                 f"{prefix}/y_sim": simulation.y, f"{prefix}/x": simulation.x,
             }  # fmt: skip
         scores += score_outputs(
-            split, [record.y for record in records], [s.y for s in simulations], dataset.fitting.scaling
+            split, [record.y[begin:] for record in records], [s.y[begin:] for s in simulations], dataset.fitting.scaling
         )
     signals["Ts"] = np.array([dataset.fitting.Ts])
     return scores, signals

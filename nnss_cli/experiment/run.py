@@ -45,7 +45,7 @@ class Score:
     """The error of one output in one split."""
 
     split: str
-    """train, val or test."""
+    """train, val, or the name of a test set."""
     output: str
     """y1, y2, …"""
     rmse: float

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from nnss_cli.datasets.record import SPLITS, Channels, Record
+from nnss_cli.datasets.record import Channels, Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.files import write_text
@@ -109,11 +110,11 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
         InputError: the run keeps none, or they are damaged.
     """
     signals = read_tensors(folder / "signals.safetensors")
-    found: dict[str, tuple[Record, ...]] = {}
-    for split in SPLITS:
-        count = sum(name.startswith(f"{split}/") and name.endswith("/y") for name in signals)
-        found[split] = tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
-    return found
+    counts = Counter(name.split("/")[0] for name in signals if name.endswith("/y"))
+    return {
+        split: tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
+        for split, count in counts.items()
+    }
 
 
 def records_from_csv(path: Path, channels: Channels, Ts: float) -> tuple[Record, ...]:

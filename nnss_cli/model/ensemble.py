@@ -42,14 +42,16 @@ class Ensemble:
         y = np.concatenate([record.y for record in data.val])
 
         def error(model: NNSS) -> float:
-            simulated = np.concatenate([model.simulate(record.u, record.y[0]).y for record in data.val])
+            simulated = np.concatenate(
+                [model.simulate(record.u, record.y[: data.init_window]).y for record in data.val]
+            )
             return float(np.sqrt(np.mean(((simulated - y) / data.scaling.y_std) ** 2)))
 
         return cls(tuple(sorted(candidates, key=error)[: (len(candidates) + 1) // 2]))
 
-    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
-        """Free simulation of inputs (K, r) from the first output sample (m,), physical units."""
-        simulations = [member.simulate(u, y0) for member in self.members]
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """Free simulation of inputs (K, r) from the first output samples (w, m), physical units."""
+        simulations = [member.simulate(u, y_init) for member in self.members]
         return Simulation(np.mean([simulation.y for simulation in simulations], axis=0), simulations[0].x)
 
     def save(self, folder: Path) -> None:

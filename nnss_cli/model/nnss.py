@@ -139,17 +139,17 @@ class NNSS(nn.Module):
         return torch.stack(ys, dim=1), torch.stack(xs, dim=1)
 
     @torch.no_grad()
-    def simulate(self, u: FloatArray, y0: FloatArray) -> Simulation:
-        """Free simulation in physical units, from the first output sample alone.
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """Free simulation in physical units, from the encoder's x(0) for the first output sample.
 
         Args:
             u: inputs (K, r).
-            y0: first output sample (m,).
+            y_init: first output samples (w, m), or (m,) for one.
         """
         scaling = self.scaling
         u_scaled = torch.tensor(scaling.normalise_u(u), dtype=self.dtype)[None]
-        y0_scaled = torch.tensor(scaling.normalise_y(y0), dtype=self.dtype)[None]
-        y, x = self(u_scaled, y0_scaled)
+        known = torch.tensor(scaling.normalise_y(np.atleast_2d(y_init)), dtype=self.dtype)
+        y, x = self(u_scaled, known[:1])
         return Simulation(scaling.restore_y(y[0].numpy().astype(np.float64)), x[0].numpy().astype(np.float64))
 
     def to_file(self) -> tuple[dict[str, Any], Tensors]:

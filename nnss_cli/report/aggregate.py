@@ -8,6 +8,7 @@ from importlib import resources
 
 import pandas as pd
 
+from nnss_cli.datasets.record import FITTED_ON
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
 from nnss_cli.report.statistics import quantile
@@ -96,6 +97,12 @@ def validation_error(result: RunResult) -> float:
     return split_error(result, "val")
 
 
+def test_error(result: RunResult) -> float:
+    """Mean of `split_error` over the test sets; ∞ where there is none."""
+    errors = [split_error(result, name) for name in test_sets([result])]
+    return sum(errors) / len(errors) if errors else math.inf
+
+
 def physical_error(result: RunResult, split: str) -> float:
     """Mean over outputs of the RMSE in physical units, as the released models are scored; ∞ without a result."""
     errors = [score.rmse for score in result.scores if score.split == split]
@@ -140,9 +147,25 @@ def is_combination(method: str) -> bool:
     return method in METHODS and bool(METHODS[method].members)
 
 
-def scored_split(results: Sequence[RunResult]) -> str:
-    """The split that figures show: test, or validation where the files at hand hold no test."""
-    return "test" if any(score.split == "test" for result in results for score in result.scores) else "val"
+def splits_of(results: Sequence[RunResult]) -> list[str]:
+    """The splits that have scores: train, validation, then the test sets in their order."""
+    found = dict.fromkeys(score.split for result in results for score in result.scores)
+    return [*(split for split in FITTED_ON if split in found), *(split for split in found if split not in FITTED_ON)]
+
+
+def test_sets(results: Sequence[RunResult]) -> list[str]:
+    """The names of the test sets that have scores."""
+    return [split for split in splits_of(results) if split not in FITTED_ON]
+
+
+def scored_splits(results: Sequence[RunResult]) -> list[str]:
+    """The splits that figures show: the test sets, or validation where the files at hand hold no test."""
+    return test_sets(results) or ["val"]
+
+
+def split_name(split: str) -> str:
+    """A split in words."""
+    return {"train": "train", "val": "validation", "test": "test"}.get(split, f"test {split}")
 
 
 def paper_table() -> pd.DataFrame:

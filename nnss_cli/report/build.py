@@ -26,8 +26,9 @@ from nnss_cli.report.aggregate import (
     long_table,
     methods_of,
     runs_by_method,
-    scored_split,
+    scored_splits,
     several_outputs,
+    split_name,
 )
 from nnss_cli.report.evidence import (
     QUIRKS,
@@ -48,7 +49,7 @@ from nnss_cli.report.standing import (
     unscored,
 )
 from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
-from nnss_cli.report.tables import SPLIT_NAMES, failures, markdown, rmse_markdown, study_rows
+from nnss_cli.report.tables import failures, markdown, rmse_markdown, study_rows
 
 HOUR = 3600.0
 
@@ -78,8 +79,8 @@ def write_comparison(store: Store, times: bool = True) -> list[Path]:
     written = [folder / "rmse.csv", folder / "rmse.md"]
     drawn = {
         "boxplot": (_boxplot(results), (".png", ".svg")),
-        "simulation": (_simulation(store, results), (".png",)),
         "states": (_states(store, results), (".png",)),
+        **{name: (figure, (".png",)) for name, figure in _simulations(store, results).items()},
     }
     for name, (figure, suffixes) in drawn.items():
         for suffix in suffixes:
@@ -251,21 +252,24 @@ def _title(result: RunResult) -> str:
 
 
 def _boxplot(results: Sequence[RunResult]) -> Figure | None:
-    split = scored_split(results)
+    splits = scored_splits(results)
+    units = {f"y{i + 1}": axis for i, axis in enumerate(_output_axes(results[0]))}
     values: dict[str, dict[str, dict[int, list[float]]]] = {}
-    for method in methods_of(results):
-        for result in results:
-            if result.spec.method != method:
-                continue
-            for score in result.scores:
-                if score.split == split:
-                    by_order = values.setdefault(score.output, {}).setdefault(method, {})
-                    by_order.setdefault(result.spec.order, []).append(score.rmse)
+    labels: dict[str, str] = {}
+    for split in splits:
+        for method in methods_of(results):
+            for result in results:
+                for score in result.scores if result.spec.method == method else ():
+                    if score.split == split:
+                        panel = f"{split}/{score.output}"
+                        labels[panel] = f"{split_name(split)} RMSE,\n{units[score.output]}"
+                        by_order = values.setdefault(panel, {}).setdefault(method, {})
+                        by_order.setdefault(result.spec.order, []).append(score.rmse)
     if not values:
         return None
-    axes = {f"y{i + 1}": axis for i, axis in enumerate(_output_axes(results[0]))}
     seeds = len({result.spec.seed for result in results})
-    title = f"{_title(results[0])}: {SPLIT_NAMES[split].lower()} RMSE over {seeds} seed{'s' * (seeds > 1)}"
+    what = split_name(splits[0]) if len(splits) == 1 else "test"
+    title = f"{_title(results[0])}: {what} RMSE over {seeds} seed{'s' * (seeds > 1)}"
     lost = [
         f"{failed} of {len(own)} {figures.style_of(method).label}, n = {order}"
         for (method, order), own in runs_by_method(results).items()
@@ -273,25 +277,31 @@ def _boxplot(results: Sequence[RunResult]) -> Figure | None:
     ]
     if lost:
         title += "\nnot drawn, without a result: " + "; ".join(lost)
-    return figures.draw_boxplot(values, axes, title, SPLIT_NAMES[split].lower())
+    return figures.draw_boxplot(values, labels, title)
 
 
-def _simulation(store: Store, results: Sequence[RunResult]) -> Figure | None:
-    split = scored_split(results)
+def _simulations(store: Store, results: Sequence[RunResult]) -> dict[str, Figure | None]:
+    """A figure for each test set (validation where there is none), by the name of its file."""
     best = best_by_method(results)
     if not best:
-        return None
-    simulated = {}
-    for method, result in best.items():
-        signals = store.signals(result.spec)
-        simulated[method] = (f"(n = {result.spec.order})", joined(signals, split, "y_sim"))
-    measured, lengths = joined(signals, split, "y"), record_lengths(signals, split)
-    time, unit = _time(len(measured), float(signals["Ts"][0]))
-    axes = _output_axes(results[0])
-    title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
-    return figures.draw_simulation(
-        time, measured, simulated, axes, unit, title, transient(measured[: lengths[0]]), starts(lengths)
-    )
+        return {"simulation": None}
+    signals = {method: store.signals(result.spec) for method, result in best.items()}
+    found: dict[str, Figure | None] = {}
+    for split in scored_splits(results):
+        simulated = {
+            method: (f"(n = {result.spec.order})", joined(signals[method], split, "y_sim"))
+            for method, result in best.items()
+        }
+        any_signals = next(iter(signals.values()))
+        measured, lengths = joined(any_signals, split, "y"), record_lengths(any_signals, split)
+        time, unit = _time(len(measured), float(any_signals["Ts"][0]))
+        title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
+        name = "simulation" if split in ("test", "val") else f"simulation-{split}"
+        found[name] = figures.draw_simulation(
+            time, measured, simulated, _output_axes(results[0]), unit, title, transient(measured[: lengths[0]]),
+            starts(lengths),
+        )  # fmt: skip
+    return found
 
 
 def record_lengths(signals: Tensors, split: str) -> list[int]:
@@ -311,7 +321,7 @@ def starts(lengths: Sequence[int]) -> list[int]:
 
 
 def _records(split: str, lengths: Sequence[int]) -> str:
-    name = SPLIT_NAMES[split].lower()
+    name = split_name(split)
     return f"{name} record" if len(lengths) == 1 else f"{len(lengths)} {name} records, one after the other"
 
 
@@ -328,7 +338,7 @@ def transient(measured: FloatArray) -> slice | None:
 
 
 def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
-    split = scored_split(results)
+    split, *_ = scored_splits(results)
     result = best_by_method(results).get("nnss")
     if result is None:
         return None

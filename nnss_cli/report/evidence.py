@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
 from nnss_cli.report.aggregate import (
@@ -18,11 +19,12 @@ from nnss_cli.report.aggregate import (
     physical_error,
     released_table,
     runs_by_method,
-    scored_split,
+    scored_splits,
     several_outputs,
     shown_error,
     split_error,
     summary,
+    test_error,
 )
 from nnss_cli.report.statistics import median_interval, quantile, quartile_interval, verdict
 from nnss_cli.report.tables import markdown, number
@@ -56,7 +58,8 @@ def as_in_the_paper(results: Sequence[RunResult]) -> list[RunResult]:
 def departures(result: RunResult) -> list[str]:
     """Settings in which a run is not the paper's, by name; what the engine computes does not depend on which it is."""
     spec = result.spec
-    papers = METHODS[spec.method].paper_settings(spec.dataset, spec.order) if spec.method in METHODS else None
+    presets = BENCHMARKS[spec.dataset].presets if spec.dataset in BENCHMARKS else {}
+    papers = METHODS[spec.method].paper_settings(presets, spec.order) if spec.method in METHODS else None
     if papers is None:
         return ["method"]
     kept = {name: list(value) if isinstance(value, tuple) else value for name, value in spec.settings.items()}
@@ -147,16 +150,16 @@ def released_comparison(results: Sequence[RunResult]) -> str:
 def optimism(results: Sequence[RunResult]) -> str:
     """What choosing the best seed on test adds over choosing it on validation ("" without several seeds and a test).
 
-    RMSE/σ, mean over outputs. A run without a result is never chosen.
+    RMSE/σ, mean over outputs and test sets. A run without a result is never chosen.
     """
     rows = []
     for (method, order), own in runs_by_method(results).items():
         sound = [r for r in own if r.status == "ok"]
         chosen = best_run(sound)
-        lucky = min((split_error(r, "test") for r in sound), default=math.inf)
+        lucky = min((test_error(r) for r in sound), default=math.inf)
         if chosen is None or len(sound) < 2 or math.isinf(lucky):
             continue
-        honest = split_error(chosen, "test")
+        honest = test_error(chosen)
         rows.append(
             {
                 "order": str(order), "method": method, "runs": f"{len(sound)}/{len(own)}",
@@ -172,21 +175,21 @@ def intervals(results: Sequence[RunResult]) -> str:
 
     Physical units where there is one output, else the mean of RMSE/σ.
     """
-    split = scored_split(results)
     several = several_outputs(results)
     rows = []
-    for (method, order), own in runs_by_method(results).items():
-        errors = [shown_error(r, split) for r in own]
-        if len(errors) < 2 or not any(map(math.isfinite, errors)):
-            continue
-        bounds = median_interval(errors)
-        rows.append(
-            {
-                "order": str(order), "method": method, "runs": f"{sum(map(math.isfinite, errors))}/{len(errors)}",
-                "split": split, NORMALISED if several else "RMSE: median": number(quantile(errors, 0.5)),
-                "interval": f"{number(bounds.low)}–{number(bounds.high)}", "holds at": f"{bounds.coverage:.1%}",
-            }
-        )  # fmt: skip
+    for split in scored_splits(results):
+        for (method, order), own in runs_by_method(results).items():
+            errors = [shown_error(r, split) for r in own]
+            if len(errors) < 2 or not any(map(math.isfinite, errors)):
+                continue
+            bounds = median_interval(errors)
+            rows.append(
+                {
+                    "order": str(order), "method": method, "runs": f"{sum(map(math.isfinite, errors))}/{len(errors)}",
+                    "split": split, NORMALISED if several else "RMSE: median": number(quantile(errors, 0.5)),
+                    "interval": f"{number(bounds.low)}–{number(bounds.high)}", "holds at": f"{bounds.coverage:.1%}",
+                }
+            )  # fmt: skip
     position = methods_of(results)
     return markdown(sorted(rows, key=lambda row: (int(row["order"]), position.index(row["method"])))) if rows else ""
 
@@ -197,7 +200,7 @@ def _percent(factor: float) -> str:
 
 def _chosen_on_test(results: Sequence[RunResult]) -> pd.DataFrame:
     """Errors of the seed that a choice on test would take (on validation where there is no test)."""
-    split = scored_split(results)
+    split, *_ = scored_splits(results)
     rows = []
     for (method, order), own in runs_by_method(results).items():
         sound = [r for r in own if r.status == "ok"]

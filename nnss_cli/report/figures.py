@@ -75,17 +75,15 @@ class Axis:
 
 def draw_boxplot(
     values: Mapping[str, Mapping[str, Mapping[int, Sequence[float]]]],
-    axes: Mapping[str, Axis],
+    labels: Mapping[str, str],
     title: str,
-    split: str,
 ) -> Figure:
-    """RMSE over seeds by order and method, one panel an output, logarithmic; the median where there is hardly a spread.
+    """RMSE over seeds by order and method, logarithmic; the median where there is hardly a spread.
 
     Args:
-        values: output → method → order → RMSE of each seed.
-        axes: output → its name and unit.
+        values: panel → method → order → RMSE of each seed.
+        labels: panel → what its axis shows.
         title: of the figure.
-        split: name of the split for the axis label.
     """
     with plt.rc_context(STYLE):
         figure, panels = plt.subplots(
@@ -119,7 +117,7 @@ def draw_boxplot(
             panel.set_yscale("log")
             _few_log_ticks(panel)
             panel.set_xlabel("order n")
-            panel.set_ylabel(f"{split} RMSE,\n{axes[output]}")
+            panel.set_ylabel(labels[output])
         handles = [_legend_entry(method, method in boxed) for method in methods]
         figure.legend(handles=handles, loc="outside lower center", ncols=3 if len(values) == 1 else len(handles))
         figure.suptitle(title, fontsize=10)

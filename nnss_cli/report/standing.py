@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
+from nnss_cli.datasets.record import FITTED_ON
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
-from nnss_cli.report.aggregate import is_combination, methods_of, runs_by_method, split_error
+from nnss_cli.report.aggregate import (
+    is_combination,
+    methods_of,
+    runs_by_method,
+    split_error,
+    splits_of,
+    test_error,
+    test_sets,
+)
 from nnss_cli.report.statistics import (
     LEVEL,
     MIN_RECORDS,
@@ -47,12 +57,12 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
     if method not in names or not rivals:
         return ""
     rows = []
-    for (dataset, order), errors in _errors(results, split).items():
+    for (dataset, order, name), errors in _errors(results, split).items():
         if method not in errors:
             continue
         own = errors[method]
         row = {
-            "dataset": dataset, "order": str(order), f"{method}: RMSE/σ": number(quantile(own, 0.5)),
+            "dataset": _titled(dataset, name), "order": str(order), f"{method}: RMSE/σ": number(quantile(own, 0.5)),
             "runs": f"{sum(map(math.isfinite, own))}/{len(own)}",
         }  # fmt: skip
         lower: list[str] = []
@@ -61,13 +71,13 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
         coverage: list[float] = []
         for rival in rivals:
             theirs = errors.get(rival, [])
-            lost = [name for name, values in ((method, own), (rival, theirs)) if fails_too_often(values)]
+            lost = [one for one, values in ((method, own), (rival, theirs)) if fails_too_often(values)]
             if not theirs:
                 row[f"/ {rival}"] = "not run"
             elif lost:
                 row[f"/ {rival}"] = "no ratio: " + ", ".join(
-                    f"{sum(map(math.isinf, errors[name]))} of {len(errors[name])} runs of {name} without a result"
-                    for name in lost
+                    f"{sum(map(math.isinf, errors[one]))} of {len(errors[one])} runs of {one} without a result"
+                    for one in lost
                 )
             else:
                 bounds = ratio_interval(own, theirs, (not _seeded(method), not _seeded(rival)))
@@ -95,12 +105,12 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
 def combinations(results: Sequence[RunResult], split: str) -> str:
     """Combinations beside the median of the runs that they are made of, as Markdown ("" where there are none)."""
     rows = []
-    for (dataset, order), errors in _errors(results, split).items():
+    for (dataset, order, test), errors in _errors(results, split).items():
         for name in filter(is_combination, errors):
             parts = errors.get(METHODS[name].members, [])
             rows.append(
                 {
-                    "dataset": dataset, "order": str(order), "method": name,
+                    "dataset": _titled(dataset, test), "order": str(order), "method": name,
                     "RMSE/σ": number(quantile(errors[name], 0.5)), "made of runs of": METHODS[name].members,
                     "their median": number(quantile(parts, 0.5)) if parts else "–",
                     "ratio": number(ratio(errors[name], parts), 3) if parts else "–",
@@ -143,13 +153,17 @@ def missing_runs(results: Sequence[RunResult]) -> list[str]:
 def record_table(results: Sequence[RunResult]) -> tuple[pd.DataFrame, list[str]]:
     """Test errors by record (rows) and method (columns), none missing, and what had to be left out.
 
-    The error of a record is the geometric mean over its orders of the median over seeds, so that a record counts once
-    whatever the number of orders. Five digits: what differs less is a tie.
+    The error of a record is the geometric mean over its orders of the median over seeds, of the mean over its test
+    sets, so that a record counts once whatever the number of orders and sets. Five digits: what differs less is a tie.
     """
     left_out = unscored(results, "test")
     cells: dict[str, dict[int, dict[str, list[float]]]] = {}
-    for (dataset, order), errors in _errors(results, "test").items():
-        cells.setdefault(dataset, {})[order] = {name: e for name, e in errors.items() if not is_combination(name)}
+    for dataset, own in _by_dataset(results).items():
+        if _has(own, "test"):
+            cells[dataset] = {}
+            for (method, order), runs in runs_by_method(own).items():
+                if not is_combination(method):
+                    cells[dataset].setdefault(order, {})[method] = [_error(r, test_error) for r in runs]
     rows: dict[str, dict[str, float]] = {}
     unranked: dict[str, str] = {}
     for dataset, by_order in cells.items():
@@ -231,16 +245,29 @@ def _seeded(method: str) -> bool:
 
 
 def _has(results: Sequence[RunResult], split: str) -> bool:
-    return any(score.split == split for result in results for score in result.scores)
+    return bool(_names(results, split))
 
 
-def _errors(results: Sequence[RunResult], split: str) -> dict[tuple[str, int], dict[str, list[float]]]:
-    """RMSE/σ of every run by dataset and order, then method; ∞ for a run without a result."""
-    found: dict[tuple[str, int], dict[str, list[float]]] = {}
+def _names(results: Sequence[RunResult], split: str) -> list[str]:
+    """The splits that "test" (every test set) or another name stands for, where there are scores."""
+    return test_sets(results) if split == "test" else [name for name in splits_of(results) if name == split]
+
+
+def _titled(dataset: str, split: str) -> str:
+    """A dataset, with its test set where that has a name of its own."""
+    return dataset if split in ("test", *FITTED_ON) else f"{dataset}: {split}"
+
+
+def _error(result: RunResult, measure: Callable[[RunResult], float]) -> float:
+    return measure(result) if result.status == "ok" else math.inf
+
+
+def _errors(results: Sequence[RunResult], split: str) -> dict[tuple[str, int, str], dict[str, list[float]]]:
+    """RMSE/σ of every run by dataset, order and split, then method; ∞ for a run without a result."""
+    found: dict[tuple[str, int, str], dict[str, list[float]]] = {}
     for dataset, own in _by_dataset(results).items():
-        if not _has(own, split):
-            continue
-        for (method, order), runs in runs_by_method(own).items():
-            cell = found.setdefault((dataset, order), {})
-            cell[method] = [split_error(r, split) if r.status == "ok" else math.inf for r in runs]
+        for name in _names(own, split):
+            for (method, order), runs in runs_by_method(own).items():
+                measure = partial(split_error, split=name)
+                found.setdefault((dataset, order, name), {})[method] = [_error(r, measure) for r in runs]
     return found

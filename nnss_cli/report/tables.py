@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from nnss_cli.datasets.record import SPLITS
+from nnss_cli.datasets.record import FITTED_ON
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.execute import LIBRARIES
 from nnss_cli.experiment.order import OrderRow
@@ -22,17 +22,18 @@ from nnss_cli.report.aggregate import (
     is_combination,
     methods_of,
     runs_by_method,
-    scored_split,
+    scored_splits,
     several_outputs,
     shown_error,
+    split_name,
+    splits_of,
     summary,
+    test_sets,
 )
 from nnss_cli.report.statistics import median_interval, quantile
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
     from nnss_cli.experiment.certify import Certificate
-
-SPLIT_NAMES = {"train": "Train", "val": "Validation", "test": "Test"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -83,10 +84,10 @@ def rmse_markdown(results: Sequence[RunResult]) -> str:
     parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
     names = methods_of(results)
-    for split in SPLITS:
+    for split in splits_of(results):
         body = rows_of_split(table, split, [name for name in names if not is_combination(name)])
         if body:
-            parts.append(f"## {SPLIT_NAMES[split]}\n\n" + markdown(body))
+            parts.append(f"## {split_name(split).capitalize()}\n\n" + markdown(body))
         apart = rows_of_split(table, split, [name for name in names if is_combination(name)])
         if apart:
             parts.append("Made of runs above, so no independent competitor:\n\n" + markdown(apart))
@@ -121,7 +122,7 @@ def terminal_title(results: Sequence[RunResult]) -> str:
     what = "mean over outputs of RMSE/σ" if several_outputs(results) else "RMSE"
     return (
         f"{first.dataset}, protocol {first.protocol}: {what}, median over seeds; q1–q3 and best "
-        f"(the seed chosen on validation): {SPLIT_NAMES[scored_split(results)].lower()}"
+        f"(the seed chosen on validation): {split_name(scored_splits(results)[0])}"
     )
 
 
@@ -133,7 +134,8 @@ def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dic
         apart: show the methods that are made of others' runs, instead of the independent ones.
     """
     table = summary(results)
-    shown_split = scored_split(results)
+    shown_split, *_ = scored_splits(results)
+    splits = dict.fromkeys([*FITTED_ON, *(test_sets(results) or ["test"])])
     output = NORMALISED if several_outputs(results) else "y1"
     position = methods_of(results)
     rows = []
@@ -145,7 +147,7 @@ def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dic
         ok = sum(r.status == "ok" for r in own)
         row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
         cells = {} if table.empty else _cells(table, method, order, output)
-        for split in SPLITS:
+        for split in splits:
             row[split] = number(cells[split]["median"], 3) if split in cells else "–"
         shown = cells.get(shown_split)
         row["q1–q3"] = (
@@ -225,7 +227,7 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
             own = [r for r in variant.results if r.spec.order == order]
             ok = [r for r in own if r.status == "ok"]
             row = {"order": str(order), "variant": variant.name, "runs": f"{len(ok)}/{len(own)}"}
-            for split in SPLITS:
+            for split in splits_of([r for v in variants for r in v.results]):
                 if not any(score.split == split for r in ok for score in r.scores):
                     row[split] = "–"
                     continue

@@ -1,4 +1,4 @@
-"""Recipes: every number that a training needs, per dataset and order."""
+"""Recipes: every number that a training needs. What a benchmark lays down for them stands with the benchmark."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
+from nnss_cli.datasets.record import Presets
 from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import PATIENCE_UNITS
@@ -104,32 +105,9 @@ class Recipe:
         return dataclasses.replace(self, **{name: value for name, value in changes.items() if value is not None})
 
 
-# The released models stopped after 20–50 epochs (robot arm), 40–130 (two-tank) and 250–420 (power plant) at errors that
-# a patience of 400 mini-batches reproduces, epoch counts included; with 400 epochs the first two train far
-# longer and end well below (docs/recipes.md).
-_PAPER_DEFAULT = Recipe(patience_unit="steps")
-_TWO_TANK = _PAPER_DEFAULT
-_ROBOT_ARM = _PAPER_DEFAULT.replace(hidden=(150,) * 4, encoder=(64,) * 4, window=100, stride=5, batch=32)
-_POWER_PLANT = _PAPER_DEFAULT.replace(hidden=(120,) * 4, encoder=(64,) * 4, window=100, stride=1, batch=1)
-
-# Widths, windows and batches as found in the models that the paper's authors released: they are
-# not all those of the paper's tables.
-_TWO_TANK_BY_ORDER = {
-    2: _TWO_TANK.replace(hidden=(100, 100), window=100, stride=5, batch=32),
-    3: _TWO_TANK,
-    4: _TWO_TANK.replace(hidden=(150,) * 3, encoder=(20, 20), window=100, stride=5, batch=32),
-}
-_PAPER: dict[str, dict[int, Recipe]] = {
-    "twotank": _TWO_TANK_BY_ORDER,
-    "twotank-sim": _TWO_TANK_BY_ORDER,
-    "robotarm": {4: _ROBOT_ARM, 5: _ROBOT_ARM, 6: _ROBOT_ARM.replace(hidden=(200,) * 4)},
-    "daisy-powerplant": {
-        3: _POWER_PLANT.replace(hidden=(100,) * 5),
-        4: _POWER_PLANT,
-        5: _POWER_PLANT.replace(hidden=(180,) * 5, encoder=(117,) * 4),
-    },
-}
-
+# The models that the paper's authors released stopped at epochs and errors that a patience of 400 mini-batches
+# reproduces; with 400 epochs most train far longer and end well below (docs/recipes.md).
+_PAPER = Recipe(patience_unit="steps")
 
 # Found on validation, protocol paper (docs/recipes.md). Simulations of whole records, exact second-order steps
 # from a good linear model, and so few weights that a full Jacobian is cheap: seconds a run.
@@ -137,33 +115,24 @@ _BEST = Recipe(
     hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="feedback",
     optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0,
 )  # fmt: skip
-_BEST_OF: dict[str, Recipe] = {
-    # its errors are coloured noise and unmodelled modes: more iterations only overfit
-    "robotarm": _BEST.replace(hidden=(16,), epochs=5),
-    # 100 samples: depth and consistency act as a prior, and a warm start overfits
-    "daisy-powerplant": _POWER_PLANT.replace(
-        hidden=(120,) * 6, consistency=0.3, window=60, stride=10, batch=5, patience_unit="epochs"
-    ),
-}
+_RECIPES = {"best": _BEST, "paper": _PAPER}
 
 
-def recipe_of(name: str, dataset: str, order: int, outputs: int = 1) -> Recipe:
-    """The recipe `paper` or `best` for a dataset and order; the encoder of `best` lets all outputs through.
+def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1) -> Recipe:
+    """The recipe `paper` or `best` for an order; the encoder of `best` lets all outputs through.
+
+    Args:
+        name: of the recipe.
+        presets: what the benchmark lays down for it; at an order that it has not, that of the nearest.
+        order: number of states n.
+        outputs: number of outputs m.
 
     Raises:
         InputError: there is no recipe of that name.
     """
-    if name not in RECIPES:
+    if name not in _RECIPES:
         raise unknown("recipe", name, RECIPES)
-    if name == "paper":
-        return paper_recipe(dataset, order)
-    best = _BEST_OF.get(dataset, _BEST)
-    return best.replace(encoder=tuple(max(width, outputs) for width in best.encoder))
-
-
-def paper_recipe(dataset: str, order: int) -> Recipe:
-    """The paper's recipe for a benchmark; at another order, that of the nearest one it has."""
-    by_order = _PAPER.get(dataset)
-    if by_order is None:
-        return _PAPER_DEFAULT
-    return by_order[min(by_order, key=lambda known: (abs(known - order), known))]
+    by_order = presets.get(name, {})
+    known = by_order[min(by_order, key=lambda known: (abs(known - order), known))] if by_order else {}
+    recipe = _RECIPES[name].replace(**known)
+    return recipe if name == "paper" else recipe.replace(encoder=tuple(max(width, outputs) for width in recipe.encoder))

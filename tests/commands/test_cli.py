@@ -149,7 +149,7 @@ def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirr
         (["fetch", "nothing"], ["unknown dataset 'nothing'", "daisy-powerplant"]),
         (["fetch"], ["--all"]),
         (["compare", "twotank-sim", "--methods", "magic"], ["unknown method 'magic'", "nnss", "n4sid"]),
-        (["compare", "twotank-sim", "--protocol", "lax"], ["unknown protocol 'lax'", "paper, strict"]),
+        (["compare", "twotank-sim", "--protocol", "lax"], ["unknown protocol of twotank-sim 'lax'", "paper, strict"]),
         (["compare", "twotank-sim", "--sedes", "1"], ["--sedes", "--seeds"]),
         (["compaer"], ["compaer", "compare"]),
         (["compare", "twotank-sim", "--orders", "two"], ["two", "--orders"]),

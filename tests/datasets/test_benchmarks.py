@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from nnss_cli.datasets import powerplant, robotarm, simulated, twotank
+from nnss_cli.datasets.catalog import powerplant, robotarm, simulated, twotank
 from nnss_cli.datasets.record import Dataset
 
 from nnss_cli.errors import InputError
@@ -22,14 +22,14 @@ def test_two_tank_paper(mirror: Path) -> None:
     np.testing.assert_allclose(dataset.fitting.scaling.y_mean, 0.26023431757, rtol=1e-10)
     np.testing.assert_allclose(dataset.fitting.scaling.y_std, 0.16901727635, rtol=1e-10)
     assert train.y[-1] == train.y[-2]
-    np.testing.assert_array_equal(dataset.fitting.val[0].y, dataset.test[0].y[:500])
+    np.testing.assert_array_equal(dataset.fitting.val[0].y, dataset.tests["test"][0].y[:500])
 
 
 def test_two_tank_strict_is_disjoint(mirror: Path) -> None:
     dataset = twotank.load(mirror / "TwoTanksMatlab.mat", "strict")
     assert lengths(dataset) == {"train": [1500], "val": [500], "test": [1000]}
     raw = scipy.io.loadmat(mirror / "TwoTanksMatlab.mat")
-    np.testing.assert_array_equal(dataset.test[0].y, raw["Y_val"])
+    np.testing.assert_array_equal(dataset.tests["test"][0].y, raw["Y_val"])
     np.testing.assert_array_equal(dataset.fitting.val[0].y, raw["Y"][1500:])
 
 
@@ -57,7 +57,7 @@ def test_robot_arm_strict_halves_the_validation_record(mirror: Path) -> None:
     assert lengths(dataset) == {"train": [1980], "val": [990], "test": [990]}
     (papers,) = robotarm.load(mirror / "RobotArm.mat", "paper").fitting.val
     np.testing.assert_array_equal(dataset.fitting.val[0].y, papers.y[:990])
-    np.testing.assert_array_equal(dataset.test[0].y, papers.y[990:])
+    np.testing.assert_array_equal(dataset.tests["test"][0].y, papers.y[990:])
     assert any("not strict" in note for note in dataset.notes)
 
 
@@ -81,7 +81,7 @@ def test_power_plant(mirror: Path) -> None:
     assert lengths(strict) == {"train": [100], "val": [50], "test": [50]}
     np.testing.assert_allclose(paper.fitting.scaling.y_std, table[:, 6:9].std(axis=0, ddof=1))
     np.testing.assert_allclose(strict.fitting.scaling.u_mean, table[:100, 1:6].mean(axis=0))
-    np.testing.assert_array_equal(paper.test[0].u, table[149:199, 1:6])
+    np.testing.assert_array_equal(paper.tests["test"][0].u, table[149:199, 1:6])
 
 
 def test_power_plant_with_commas_and_packed(mirror: Path, tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_embedded_plant_is_seeded_and_physical() -> None:
     assert first.fingerprint() == second.fingerprint()
     assert lengths(first) == {"train": [1500], "val": [500], "test": [1500]}
     assert lengths(simulated.load(None, "strict")) == {"train": [1500], "val": [500], "test": [1000]}
-    assert first.test[0].y.min() > -0.05
+    assert first.tests["test"][0].y.min() > -0.05
     # at rest, flow in = flow out: h2 = (k u / a2)² / 2g
     levels = simulated.simulate_two_tank(np.full(1500, 5.0), np.array([0.1, 0.1]))
     np.testing.assert_allclose(levels[-1, 1], (0.005 * 5 / 0.015) ** 2 / (2 * 9.81), rtol=1e-3)
@@ -129,7 +129,7 @@ def test_embedded_plant_is_seeded_and_physical() -> None:
 
 def test_the_ode_reproduces_the_recorded_plant(mirror: Path) -> None:
     dataset = twotank.load(mirror / "TwoTanksMatlab.mat", "strict")
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     best = min(
         np.sqrt(
             np.mean(

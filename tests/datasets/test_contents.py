@@ -17,9 +17,8 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays as array_strategy
-from nnss_cli.datasets import powerplant, robotarm, twotank
 from nnss_cli.datasets.benchmark import Samples, Source, check_contents, samples_hash
-from nnss_cli.datasets.catalog import load
+from nnss_cli.datasets.catalog import load, powerplant, robotarm, twotank
 from nnss_cli.datasets.download import fetch, install
 from nnss_cli.datasets.record import FloatArray
 
@@ -121,7 +120,7 @@ def test_every_form_of_the_published_samples_is_accepted(
     FORMS[form].write(path, made_up(form, monkeypatch))
     benchmark = FORMS[form].module.BENCHMARK
     assert install(benchmark, path).parent == own_cache
-    assert load(benchmark.name, "strict").test
+    assert load(benchmark.name, "strict").tests["test"]
 
 
 @pytest.mark.parametrize("tamper", TAMPERED)
@@ -218,7 +217,7 @@ def test_what_cannot_be_verified_is_said_to_be(monkeypatch: pytest.MonkeyPatch, 
     write_matlab(path, arrays | {"yv3": -arrays["yv3"]})
     for protocol in ("paper", "strict"):
         dataset = robotarm.load(path, protocol)
-        np.testing.assert_array_equal(dataset.test[0].y, -arrays["yv3"][:-1:10][:-4])
+        np.testing.assert_array_equal(dataset.tests["test"][0].y, -arrays["yv3"][:-1:10][:-4])
         assert ["uv3, yv3" in note and "verify" in note for note in dataset.notes] == [True]
     write_matlab(path, {name: arrays[name] for name in ("ue", "ye", "uv1", "yv1")})
     assert not any("verify" in note for note in robotarm.load(path, "paper").notes)

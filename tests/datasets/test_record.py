@@ -135,7 +135,7 @@ def test_experiments_of_any_length_and_one_kind_make_a_dataset_and_no_others(
     ]
 
     def make() -> Dataset:
-        return Dataset(fitting(records["train"], records["validation"]), records["test"])
+        return Dataset(fitting(records["train"], records["validation"]), {"test": records["test"]} if test else {})
 
     if not odd:
         assert make().splits()["train"] == records["train"]
@@ -166,7 +166,7 @@ ONE = (experiment(),)
             "record, found 1 input, 1 output and Ts = 0.1 s; one model needs records of one kind",
         ),
         (
-            lambda: Dataset(fitting(ONE, ONE), (*ONE, *ONE, experiment(r=2))),
+            lambda: Dataset(fitting(ONE, ONE), {"test": (*ONE, *ONE, experiment(r=2))}),
             "dataset rig: test record 3: expected 1 input, 1 output and Ts = 0.5 s as in the first training "
             "record, found 2 inputs, 1 output and Ts = 0.5 s; one model needs records of one kind",
         ),

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from nnss_cli.datasets import powerplant, robotarm, twotank
-from nnss_cli.datasets.record import Dataset, FloatArray, Protocol, Record
+from nnss_cli.datasets.catalog import powerplant, robotarm, twotank
+from nnss_cli.datasets.record import Dataset, FloatArray, Record
 
 Rows = np.ndarray
 
@@ -25,7 +25,7 @@ PLANT = (made_up(200, 5, 3), made_up(200, 3, 4))
 ARM = tuple((made_up(19838, 1, 5 + 2 * i), made_up(19838, 1, 6 + 2 * i)) for i in range(3))
 
 
-def arm(protocol: Protocol, records: int) -> Dataset:
+def arm(protocol: str, records: int) -> Dataset:
     return robotarm.split(tuple(Record(u, y, 0.0005) for u, y in ARM[:records]), protocol)
 
 
@@ -158,7 +158,7 @@ def test_what_strict_test_shares_with_what_recipes_were_found_on(
     strict: str, paper: str, with_train: int, with_val: int
 ) -> None:
     """Recipes were found on protocol paper's train and validation: samples of these in strict's test."""
-    (test,) = CASES[strict][0]().test
+    (test,) = CASES[strict][0]().tests["test"]
     fitting = CASES[paper][0]().fitting
     for (record,), shared in ((fitting.train, with_train), (fitting.val, with_val)):
         for signal, other in ((test.u, record.u), (test.y, record.y)):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nnss_cli.datasets import robotarm, simulated, twotank
+from nnss_cli.datasets.catalog import BENCHMARKS, robotarm, simulated, twotank
 from nnss_cli.datasets.record import Record
 from nnss_cli.datasets.windows import Windows, check_window, sliding_windows
 
 from nnss_cli.errors import InputError
-from nnss_cli.training.recipe import paper_recipe
+from nnss_cli.training.recipe import recipe_of
 
 
 def counting(lengths: tuple[int, ...]) -> tuple[Record, ...]:
@@ -21,10 +21,10 @@ def counting(lengths: tuple[int, ...]) -> tuple[Record, ...]:
 def test_the_papers_window_counts(mirror: Path) -> None:
     tanks = twotank.load(mirror / "TwoTanksMatlab.mat", "paper").fitting.train
     arm = robotarm.load(mirror / "RobotArm.mat", "paper").fitting.train
-    recipe = paper_recipe("twotank", 3)
+    recipe = recipe_of("paper", BENCHMARKS["twotank"].presets, 3)
     u, _ = sliding_windows(tanks, recipe.window, recipe.stride)
     assert (len(u), u[0].shape) == (711, (80, 1))
-    recipe = paper_recipe("robotarm", 5)
+    recipe = recipe_of("paper", BENCHMARKS["robotarm"].presets, 5)
     u, _ = sliding_windows(arm, recipe.window, recipe.stride)
     assert (len(u), u[0].shape) == (377, (100, 1))
 

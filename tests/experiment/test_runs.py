@@ -274,10 +274,10 @@ def test_scores_are_of_all_records() -> None:
 def test_every_record_is_simulated_and_scored(small_data: Callable) -> None:
     """The second record's error counts as well as the first's."""
     dataset = small_data(K=90)
-    (record,) = dataset.test
+    (record,) = dataset.tests["test"]
     model = select(["n4sid"])[0].fit(dataset.fitting, 2, 0, {"horizon": "matlab"}, None).model
     off = Record(record.u, record.y + 5.0, record.Ts)
-    scores, signals = simulate_splits(model, replace(dataset, test=(record, off)))
+    scores, signals = simulate_splits(model, replace(dataset, tests={"test": (record, off)}))
     (test,) = (s for s in scores if s.split == "test")
     pooled = np.concatenate([signals[f"test/{i}/y_sim"] - signals[f"test/{i}/y"] for i in range(2)])
     assert test.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-12)

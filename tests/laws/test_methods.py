@@ -30,7 +30,7 @@ def test_shapes_units_and_finiteness(name: str, r: int, m: int, small_data: Call
     dataset = small_data(r, m, K=450)
     model = fit(name, dataset).model
     assert model is not None
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     simulation = model.simulate(record.u, record.y[0])
     assert simulation.y.shape == record.y.shape
     assert simulation.x.shape == (len(record), 2)
@@ -42,7 +42,7 @@ def test_shapes_units_and_finiteness(name: str, r: int, m: int, small_data: Call
 def test_fitting_is_deterministic_and_changes_nothing(name: str, small_data: Callable) -> None:
     dataset = small_data(K=300)
     before = dataset.fingerprint()
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     first, second = (fit(name, dataset, seed=5).model.simulate(record.u, record.y[0]).y for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert dataset.fingerprint() == before
@@ -50,7 +50,7 @@ def test_fitting_is_deterministic_and_changes_nothing(name: str, small_data: Cal
 
 def test_the_result_does_not_depend_on_earlier_seeds(name: str, small_data: Callable) -> None:
     dataset = small_data(K=300)
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     alone = fit(name, dataset, seed=2).model.simulate(record.u, record.y[0]).y
     fit(name, dataset, seed=1)
     np.testing.assert_array_equal(fit(name, dataset, seed=2).model.simulate(record.u, record.y[0]).y, alone)
@@ -59,7 +59,7 @@ def test_the_result_does_not_depend_on_earlier_seeds(name: str, small_data: Call
 def test_simulation_is_causal(name: str, small_data: Callable) -> None:
     dataset = small_data(K=300)
     model = fit(name, dataset).model
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     u = record.u.copy()
     plain = model.simulate(u, record.y[0])
     u[30:] += 10.0
@@ -74,7 +74,7 @@ def test_saved_and_loaded_it_simulates_bit_identically(name: str, small_data: Ca
     model = fit(name, dataset).model
     model.save(tmp_path)
     again = load_model(tmp_path)
-    record = dataset.test[0]
+    record = dataset.tests["test"][0]
     np.testing.assert_array_equal(again.simulate(record.u, record.y[0]).y, model.simulate(record.u, record.y[0]).y)
 
 
@@ -88,8 +88,8 @@ def test_the_scale_of_the_record_does_not_matter(name: str, small_data: Callable
     train, val, test = (
         tuple(Record(1000 * r.u + 5, 0.01 * r.y - 3, r.Ts) for r in records) for records in dataset.splits().values()
     )
-    other = Dataset(replace(dataset.fitting, train=train, val=val, scaling=Scaling.of(train)), test)
-    record, scaled = dataset.test[0], test[0]
+    other = Dataset(replace(dataset.fitting, train=train, val=val, scaling=Scaling.of(train)), {"test": test})
+    record, scaled = dataset.tests["test"][0], test[0]
     y = fit(name, dataset).model.simulate(record.u, record.y[0]).y
     y_other = fit(name, other).model.simulate(scaled.u, scaled.y[0]).y
     np.testing.assert_allclose((y_other + 3) / 0.01, y, rtol=1e-6, atol=1e-6)
@@ -109,7 +109,7 @@ def arrays_within(thing: object) -> list[np.ndarray]:
 def test_no_test_sample_can_be_reached_from_what_a_method_is_given(name: str, small_data: Callable) -> None:
     del name
     dataset = small_data(K=300)
-    test = np.concatenate([record.y.ravel() for record in dataset.test])
+    test = np.concatenate([record.y.ravel() for record in dataset.tests["test"]])
     seen = np.concatenate([array.ravel() for array in arrays_within(dataset.fitting)])
     assert len(seen) > len(test)
     assert not np.isin(test, seen).any()
@@ -118,8 +118,8 @@ def test_no_test_sample_can_be_reached_from_what_a_method_is_given(name: str, sm
 def test_another_test_record_gives_the_same_model(name: str, small_data: Callable, tmp_path: Path) -> None:
     """Through all that runs a method: its choice of epoch, start and horizon included."""
     dataset = small_data(K=300)
-    (record,) = dataset.test
-    other = Dataset(dataset.fitting, (type(record)(-record.u, 100 - 7 * record.y, record.Ts),))
+    (record,) = dataset.tests["test"]
+    other = Dataset(dataset.fitting, {"test": (type(record)(-record.u, 100 - 7 * record.y, record.Ts),)})
     signals = []
     for index, one in enumerate((dataset, other)):
         store = Store(tmp_path / str(index), one.name, "strict")
@@ -148,7 +148,9 @@ def test_singular_and_short_problems_end_as_a_row_with_a_reason(name: str, kind:
     u, y = NASTY[kind](np.arange(float(K)))
     records = (Record(u, y, 1.0),)
     channels = Channels(("u",), ("y",), ("V",), ("m",))
-    dataset = Dataset(FittingData("nasty", "strict", records, records, Scaling.of(records), channels), records)
+    dataset = Dataset(
+        FittingData("nasty", "strict", records, records, Scaling.of(records), channels), {"test": records}
+    )
     spec = RunSpec("nasty", "strict", name, 3, 0, METHODS[name].settings(dataset.fitting, 3, SMALL), "0")
     result = execute(spec, dataset, Store(tmp_path, "nasty", "strict"))
     if result.status == "ok":

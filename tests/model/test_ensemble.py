@@ -22,7 +22,7 @@ def members() -> list[NNSS]:
 
 
 def test_it_is_the_mean_of_its_members(members: list[NNSS]) -> None:
-    record = load("twotank-sim").test[0]
+    record = load("twotank-sim").tests["test"][0]
     mean = np.mean([member.simulate(record.u, record.y[0]).y for member in members], axis=0)
     np.testing.assert_allclose(Ensemble(tuple(members)).simulate(record.u, record.y[0]).y, mean)
 
@@ -40,7 +40,7 @@ def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> 
 
 
 def test_saved_and_loaded_it_is_the_same(members: list[NNSS], tmp_path: Path) -> None:
-    record = load("twotank-sim").test[0]
+    record = load("twotank-sim").tests["test"][0]
     ensemble = Ensemble(tuple(members[:2]))
     ensemble.save(tmp_path)
     read = load_model(tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from nnss_cli.datasets.catalog import BENCHMARKS
 
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
@@ -116,7 +117,7 @@ def boxplot_title(results: list[RunResult]) -> str:
 
 def papers(spec: RunSpec) -> RunSpec:
     """The same run with every setting the paper's."""
-    settings = METHODS[spec.method].paper_settings(spec.dataset, spec.order)
+    settings = METHODS[spec.method].paper_settings(BENCHMARKS[spec.dataset].presets, spec.order)
     return replace(spec, settings=json.loads(json.dumps(settings)))  # as it comes from disk
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
-from nnss_cli.datasets import robotarm
+from nnss_cli.datasets.catalog import BENCHMARKS, robotarm
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
@@ -137,7 +137,7 @@ def test_a_linear_plant_gets_no_feedback() -> None:
 def test_the_robot_arm_gains_by_it(mirror: Path) -> None:
     """SSEST has 2.664 on validation; `nnss train robotarm --order 5` gave 2.61."""
     data = robotarm.load(mirror / "RobotArm.mat", "paper").fitting
-    recipe = recipe_of("best", "robotarm", 5).replace(epochs=1)
+    recipe = recipe_of("best", BENCHMARKS["robotarm"].presets, 5).replace(epochs=1)
     training = train_nnss(data, 5, 0, recipe)
     y = training.model.simulate(data.val[0].u, data.val[0].y[0]).y
     assert np.sqrt(np.mean((y - data.val[0].y) ** 2)) < 2.64

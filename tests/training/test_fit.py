@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from nnss_cli.datasets import twotank
+from nnss_cli.datasets.catalog import BENCHMARKS, twotank
 from nnss_cli.datasets.windows import sliding_windows
 
 from nnss_cli.iterative import EarlyStopping, named_random
@@ -15,9 +15,13 @@ from nnss_cli.model.architecture import SCHEDULING
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.fit import train_nnss
-from nnss_cli.training.recipe import ENGINES, Recipe, paper_recipe
+from nnss_cli.training.recipe import ENGINES, Recipe, recipe_of
 
 QUICK = Recipe(hidden=(6,), encoder=(3,), window=10, stride=3, batch=4, epochs=5, dtype="float64")
+
+
+def paper_recipe(dataset: str, order: int) -> Recipe:
+    return recipe_of("paper", BENCHMARKS[dataset].presets, order)
 
 
 def test_early_stopping_keeps_the_best_and_resets_only_on_a_marked_gain() -> None:
@@ -167,11 +171,11 @@ def test_released_widths() -> None:
     assert paper_recipe("robotarm", 6).hidden == (200,) * 4
     assert paper_recipe("daisy-powerplant", 5).encoder == (117,) * 4
     assert paper_recipe("daisy-powerplant", 9) == paper_recipe("daisy-powerplant", 5)
-    assert paper_recipe("mine", 2) == Recipe(patience_unit="steps")
+    assert recipe_of("paper", {}, 2) == Recipe(patience_unit="steps")
 
 
 def test_it_learns_the_embedded_plant() -> None:
-    from nnss_cli.datasets import simulated
+    from nnss_cli.datasets.catalog import simulated
 
     data = simulated.load(None, "strict").fitting
     recipe = Recipe(hidden=(50,), window=60, stride=6, batch=32, epochs=45, learning_rate=2e-3)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling
 
 from nnss_cli.errors import InputError
@@ -188,14 +189,14 @@ def test_the_encoder_of_best_is_as_wide_as_the_outputs(small_data: Callable) -> 
         assert METHODS["nnss"].settings(data, 2, {})["encoder"] == expected
         assert METHODS["nnss"].settings(data, 2, {"encoder": (3,)})["encoder"] == (3,)
         assert METHODS["nnss"].settings(data, 2, {"recipe": "paper", "window": 20})["encoder"] == (16, 16)
-    assert recipe_of("best", "daisy-powerplant", 4, 3).encoder == (64,) * 4
+    assert recipe_of("best", BENCHMARKS["daisy-powerplant"].presets, 4, 3).encoder == (64,) * 4
 
 
 @pytest.mark.parametrize(("m", "n"), [(10, 2), (10, 4), (12, 12)])
 @pytest.mark.parametrize("narrow", [False, True])
 def test_a_linear_start_of_many_outputs_begins_where_the_linear_model_does(m: int, n: int, narrow: bool) -> None:
     random = np.random.default_rng(0)
-    recipe = recipe_of("best", "mine", n, m)
+    recipe = recipe_of("best", {}, n, m)
     if narrow:
         recipe = recipe.replace(encoder=(n,))
     unit = Scaling(np.zeros(1), np.ones(1), np.zeros(m), np.ones(m))

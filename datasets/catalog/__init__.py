@@ -1,14 +1,18 @@
-"""The benchmarks by name."""
+"""The benchmarks by name: one module each, found by themselves."""
 
-from nnss_cli.datasets import powerplant, robotarm, simulated, twotank
+import importlib
+import pkgutil
+
 from nnss_cli.datasets.benchmark import Benchmark
 from nnss_cli.datasets.download import cached_file
-from nnss_cli.datasets.record import Dataset, check_protocol
+from nnss_cli.datasets.record import Dataset
 
 from nnss_cli.errors import unknown
 
 BENCHMARKS: dict[str, Benchmark] = {
-    module.BENCHMARK.name: module.BENCHMARK for module in (twotank, robotarm, powerplant, simulated)
+    entry.name: entry
+    for module in sorted(found.name for found in pkgutil.iter_modules(__path__))
+    for entry in [importlib.import_module(f"{__name__}.{module}").BENCHMARK]
 }
 
 
@@ -23,13 +27,13 @@ def benchmark(name: str) -> Benchmark:
     return BENCHMARKS[name]
 
 
-def load(name: str, protocol: str = "paper") -> Dataset:
-    """Read a benchmark from the cache, or simulate it, and split it.
+def load(name: str, protocol: str = "") -> Dataset:
+    """Read a benchmark from the cache, or simulate it, and split it by a protocol of its own ("" for its first).
 
     Raises:
         InputError: unknown name or protocol, or the file is not what it should be.
         DataUnavailable: the file has not been fetched.
     """
     entry = benchmark(name)
-    chosen = check_protocol(protocol)
+    chosen = entry.check_protocol(protocol)
     return entry.load(cached_file(entry) if entry.sources else None, chosen)

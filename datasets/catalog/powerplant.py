@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from nnss_cli.datasets.benchmark import Benchmark, Samples, Source, check_contents, read_bytes
-from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Protocol, Record, Scaling
+from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
 
@@ -21,7 +21,8 @@ Ts = 1228.8
 ROWS = 200
 
 # Made from powerplant.dat (its own sha256: f0b8fa3edf2c1aa9c18c8a9610eeaeea20a651d1bb7bd059f0fbd3e3e2b0424e), by
-#   python -c "from pathlib import Path; from nnss_cli.datasets import benchmark as b, powerplant as d;
+#   python -c "from pathlib import Path; from nnss_cli.datasets import benchmark as b;
+#   from nnss_cli.datasets.catalog import powerplant as d;
 #   print({name: b.samples_hash(a) for name, a in d.read(Path('powerplant.dat')).items()})"
 INPUTS, OUTPUTS = "input block (columns 2–6)", "output block (columns 7–9)"
 CONTENTS = {
@@ -29,8 +30,26 @@ CONTENTS = {
     OUTPUTS: Samples((ROWS, 3), "c44b9836e2119fe38cef907555211d142795288df481a5ea5a2327b2343aa411"),
 }
 
+# Widths, windows and batches as found in the models that the paper's authors released: they are not all those of the
+# paper's tables.
+_PAPER = {"hidden": (120,) * 4, "encoder": (64,) * 4, "window": 100, "stride": 1, "batch": 1}
+PRESETS = {
+    "paper": {
+        3: _PAPER | {"hidden": (100,) * 5},
+        4: _PAPER,
+        5: _PAPER | {"hidden": (180,) * 5, "encoder": (117,) * 4},
+    },
+    # 100 samples: depth and consistency act as a prior, and a warm start overfits
+    "best": {
+        4: {
+            "hidden": (120,) * 6, "encoder": (64,) * 4, "dtype": "float32", "window": 60, "stride": 10, "batch": 5,
+            "initial": "random", "optimiser": "adam", "epochs": 1000, "patience": 400, "consistency": 0.3,
+        }
+    },
+}  # fmt: skip
 
-def load(path: Path | None, protocol: Protocol) -> Dataset:
+
+def load(path: Path | None, protocol: str) -> Dataset:
     """Read powerplant.dat, check every sample of it, and split it."""
     assert path is not None
     arrays = read(path)
@@ -44,7 +63,7 @@ def read(path: Path) -> dict[str, FloatArray]:
     return {INPUTS: table[:, 1:6], OUTPUTS: table[:, 6:9]}
 
 
-def split(u: FloatArray, y: FloatArray, protocol: Protocol) -> Dataset:
+def split(u: FloatArray, y: FloatArray, protocol: str) -> Dataset:
     """Split 200 rows as the paper's code does, or without test in the statistics.
 
     paper: train rows 1–100, validation 101–149, test 150–199, statistics over all 200 rows.
@@ -57,8 +76,10 @@ def split(u: FloatArray, y: FloatArray, protocol: Protocol) -> Dataset:
     else:
         train, val, test = whole[:100], whole[100:150], whole[150:]
         scaled_over, notes = train, ()
-    fitting = FittingData("daisy-powerplant", protocol, (train,), (val,), Scaling.of((scaled_over,)), CHANNELS)
-    return Dataset(fitting, (test,), notes)
+    fitting = FittingData(
+        "daisy-powerplant", protocol, (train,), (val,), Scaling.of((scaled_over,)), CHANNELS, presets=PRESETS
+    )
+    return Dataset(fitting, {"test": (test,)}, notes)
 
 
 def _read_table(path: Path) -> FloatArray:
@@ -99,4 +120,5 @@ BENCHMARK = Benchmark(
     ),
     cached_as="powerplant.dat",
     load=load,
+    presets=PRESETS,
 )

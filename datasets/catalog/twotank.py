@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from nnss_cli.datasets.benchmark import Benchmark, Samples, Source, check_contents, read_matlab
-from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Protocol, Record, Scaling
+from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Record, Scaling
 
 CHANNELS = Channels(("pump voltage",), ("lower tank level",), ("V",), ("m",))
 Ts = 0.2
 SAMPLES = 3000
 
 # Made from the file whose own sha256 stands in BENCHMARK.sources, by
-#   python -c "from pathlib import Path; from nnss_cli.datasets import benchmark as b, twotank as d;
+#   python -c "from pathlib import Path; from nnss_cli.datasets import benchmark as b;
+#   from nnss_cli.datasets.catalog import twotank as d;
 #   print({name: b.samples_hash(a) for name, a in d.read(Path('TwoTanksMatlab.mat')).items()})"
 # u and y are U, U_val and Y, Y_val one after the other.
 CONTENTS = {
@@ -27,8 +28,18 @@ CONTENTS = {
     "Y_val": Samples((1000, 1), "d7ae8d61e62d12a27dc8793df3733e65b92344681b898ccfa4b98f506d96f8bf"),
 }
 
+# Widths, windows and batches as found in the models that the paper's authors released: they are not all those of the
+# paper's tables.
+PRESETS = {
+    "paper": {
+        2: {"hidden": (100, 100), "window": 100, "stride": 5, "batch": 32},
+        3: {},
+        4: {"hidden": (150,) * 3, "encoder": (20, 20), "window": 100, "stride": 5, "batch": 32},
+    }
+}
 
-def load(path: Path | None, protocol: Protocol) -> Dataset:
+
+def load(path: Path | None, protocol: str) -> Dataset:
     """Read the file, check every sample of it, and split it."""
     assert path is not None
     arrays = read(path)
@@ -45,7 +56,7 @@ def read(path: Path) -> dict[str, FloatArray]:
     return read_matlab(path, (("u", "y"), ("U", "Y", "U_val", "Y_val")))
 
 
-def split(name: str, u: FloatArray, y: FloatArray, protocol: Protocol) -> Dataset:
+def split(name: str, u: FloatArray, y: FloatArray, protocol: str) -> Dataset:
     """Split 3000 samples as the paper's code does, or without its overlap.
 
     paper: train 1–1499 with sample 1499 once more, validation 1500–1999, test 1500–2999
@@ -61,8 +72,8 @@ def split(name: str, u: FloatArray, y: FloatArray, protocol: Protocol) -> Datase
     else:
         train, val, test = record[:1500], record[1500:2000], record[2000:]
         notes = ()
-    fitting = FittingData(name, protocol, (train,), (val,), Scaling.of((train,)), CHANNELS)
-    return Dataset(fitting, (test,), notes)
+    fitting = FittingData(name, protocol, (train,), (val,), Scaling.of((train,)), CHANNELS, presets=PRESETS)
+    return Dataset(fitting, {"test": (test,)}, notes)
 
 
 def _paper_train() -> FloatArray:
@@ -88,4 +99,5 @@ BENCHMARK = Benchmark(
     ),
     cached_as="twotank.mat",
     load=load,
+    presets=PRESETS,
 )

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from nnss_cli.datasets import twotank
 from nnss_cli.datasets.benchmark import Benchmark
-from nnss_cli.datasets.record import Dataset, FloatArray, Protocol
+from nnss_cli.datasets.catalog import twotank
+from nnss_cli.datasets.record import Dataset, FloatArray
 
 # Parameters that reproduce the two-tank record (areas in m²): DESIGN.md of this project.
 A1, A2, K_PUMP, OUTLET1, OUTLET2, GRAVITY = 0.5, 0.25, 0.005, 0.02, 0.015, 9.81
@@ -45,7 +45,7 @@ def simulate_two_tank(u: FloatArray, h0: FloatArray) -> FloatArray:
     return levels
 
 
-def load(path: Path | None, protocol: Protocol) -> Dataset:
+def load(path: Path | None, protocol: str) -> Dataset:
     """Simulate and split as the recorded two-tank benchmark. `path` is not used: there is no file."""
     del path
     random = np.random.default_rng(20251)
@@ -66,4 +66,5 @@ BENCHMARK = Benchmark(
     sources=(),
     cached_as="",
     load=load,
+    presets=twotank.PRESETS,
 )
