@@ -1,0 +1,118 @@
+"""Which part of a record should train, validate and test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.experiment.inspection_signals import Channel
+
+# tried in this order; the first that gives the fewest warnings is recommended
+SHARES = ((60, 20, 20), (50, 30, 20), (50, 25, 25), (40, 30, 30))
+BEYOND = 0.01  # share of samples outside the training range that is worth a warning
+PART_NAMES = ("training", "validation", "test")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Samples start … stop − 1 of one experiment."""
+
+    experiment: int
+    """Index of the experiment, 0-based."""
+    start: int
+    """First sample."""
+    stop: int
+    """One past the last sample."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """What trains, what validates, what tests."""
+
+    rule: str
+    """E.g. "60/20/20 in time order"."""
+    train: tuple[Part, ...]
+    """Fitted on."""
+    val: tuple[Part, ...]
+    """Chosen on."""
+    test: tuple[Part, ...]
+    """Only scored on."""
+    warnings: tuple[str, ...]
+    """Where a part does not excite, or goes beyond the training range."""
+
+
+def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channel]) -> Split:
+    """60/20/20 in time order, unless another division has fewer warnings; whole experiments where there are several.
+
+    With three experiments or more the last tests and the one before validates; with two the second tests and the last
+    quarter of the first validates.
+
+    Args:
+        experiments: columns (K, c) of each, NaN where missing.
+        channels: what is known of the columns.
+    """
+    lengths = [len(data) for data in experiments]
+    if len(experiments) >= 3:
+        parts = [Part(e, 0, K) for e, K in enumerate(lengths)]
+        return _checked("whole experiments", parts[:-2], parts[-2:-1], parts[-1:], experiments, channels)
+    if len(experiments) == 2:
+        K = lengths[0] * 3 // 4
+        first, rest = Part(0, 0, K), Part(0, K, lengths[0])
+        rule = "the second experiment tests, the last quarter of the first validates"
+        return _checked(rule, [first], [rest], [Part(1, 0, lengths[1])], experiments, channels)
+    K = lengths[0] if lengths else 0
+    best: Split | None = None
+    for shares in SHARES:
+        a, b = K * shares[0] // 100, K * (shares[0] + shares[1]) // 100
+        rule = f"{'/'.join(map(str, shares))} in time order"
+        parts = [[Part(0, 0, a)], [Part(0, a, b)], [Part(0, b, K)]] if K else [[], [], []]
+        found = _checked(rule, *parts, experiments, channels)
+        if best is None or len(found.warnings) < len(best.warnings):
+            best = found
+    assert best is not None
+    return best
+
+
+def _checked(
+    rule: str, train: list[Part], val: list[Part], test: list[Part],
+    experiments: Sequence[FloatArray], channels: Sequence[Channel],
+) -> Split:  # fmt: skip
+    """The split with its warnings."""
+    warnings = []
+    for i, channel in enumerate(channels):
+        if channel.kind in ("empty", "constant"):
+            continue
+        ranges: tuple[float, float] | None = None
+        for name, parts in zip(PART_NAMES, (train, val, test), strict=True):
+            columns = [experiments[part.experiment][part.start : part.stop, i] for part in parts]
+            low, high = _range(columns)
+            if low > high:  # nothing there
+                continue
+            if low == high:
+                warnings.append(f"{channel.role} '{channel.name}' is constant in the {name} part")
+            elif ranges is not None:
+                beyond = _share(columns, *ranges)
+                if beyond > BEYOND:
+                    warnings.append(
+                        f"{100 * beyond:.2g} % of the {name} samples of {channel.role} '{channel.name}' lie outside "
+                        "the range of the training part"
+                    )
+            ranges = ranges or (low, high)
+    return Split(rule, tuple(train), tuple(val), tuple(test), tuple(warnings))
+
+
+def _range(columns: Sequence[FloatArray]) -> tuple[float, float]:
+    """Smallest and largest sample; (∞, −∞) for none."""
+    lows = [float(np.fmin.reduce(column)) for column in columns if len(column)]
+    highs = [float(np.fmax.reduce(column)) for column in columns if len(column)]
+    lows, highs = [v for v in lows if np.isfinite(v)], [v for v in highs if np.isfinite(v)]
+    return min(lows, default=np.inf), max(highs, default=-np.inf)
+
+
+def _share(columns: Sequence[FloatArray], low: float, high: float) -> float:
+    """Share of the samples outside low … high."""
+    count = sum(int(np.isfinite(column).sum()) for column in columns)
+    return sum(int(np.sum((column < low) | (column > high))) for column in columns) / count
