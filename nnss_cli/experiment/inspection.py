@@ -81,15 +81,17 @@ def examine(
     alive = [i for i, c in enumerate(channels) if c.kind not in ("empty", "constant") and 2 * c.missing <= c.samples]
     live_inputs, live_outputs = [i for i in alive if i < r], [i for i in alive if i >= r]
     scaled = _scaled(experiments, alive)
-    complete = _stretches(scaled, 0.0, 1.0)
+    complete = _stretches(scaled)
     used = _missing_note(complete, experiments)
-    copies = find_copies([names[i] for i in alive], np.concatenate(complete)) if complete else ()
+    whole = _stretches([data[:, alive] for data in experiments])
+    copies = find_copies([names[i] for i in alive], np.concatenate(whole)) if whole else ()
+    del whole
     q = len(live_inputs)
     parts = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra, coherence and delays", used)
     parts = _standardised(parts)
     spectra = welch(parts, q)
     # the scaled columns are centred; persistency counts a constant, so it takes the raw ones
-    raw = [_stretches([data[:, [i]] for data in experiments], 0.0, 1.0) for i in range(r)]
+    raw = [_stretches([data[:, [i]] for data in experiments]) for i in range(r)]
     excitation = []
     for i in range(r):
         found = None if spectra is None or i not in live_inputs else live_inputs.index(i)
@@ -189,14 +191,9 @@ def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int]) -> list[Flo
     return scaled
 
 
-def _stretches(experiments: Sequence[FloatArray], start: float, stop: float) -> list[FloatArray]:
-    """The complete stretches of each experiment between two shares of its length."""
-    found = []
-    for data in experiments:
-        data = data[round(start * len(data)) : round(stop * len(data))]
-        if data.shape[1]:
-            found += _complete(data)
-    return found
+def _stretches(experiments: Sequence[FloatArray]) -> list[FloatArray]:
+    """The stretches of each experiment in which no sample of any column is missing."""
+    return [stretch for data in experiments if data.shape[1] for stretch in _complete(data)]
 
 
 def _complete(data: FloatArray) -> list[FloatArray]:

@@ -289,7 +289,7 @@ def products(parts: Sequence[FloatArray], inputs: int, output: int, delays: Sequ
     linear = 1 + p + inputs * (L + 1)
     columns = linear + 4 + 5 * inputs + 1
     parts, rows = _within(parts, max(p, L + 1), columns)
-    if rows < 8 * columns:  # on fewer, inputs of few levels gave 9 % false alarms at 5 %
+    if rows < 16 * columns:  # on 13 rows a column, two-level inputs gave 10 % false alarms at 5 %
         return None
     R = triangularise(_regression(parts, inputs, output, p, L, lags))
     kept = np.abs(np.diag(R)[linear:-1]) > 1e-6 * np.linalg.norm(R[:, linear:-1], axis=0)

@@ -156,7 +156,7 @@ def _record(found: Inspection) -> Iterator[str]:
     if clock.source == "unknown":
         yield "The sampling time is not known: frequencies are in cycles a sample, delays in samples."
     if clock.unreadable:
-        yield f"The time column has {clock.unreadable} values that are not finite numbers."
+        yield f"The time column has {clock.unreadable} values that are no instants."
     if clock.duplicates:
         yield f"The time column has {clock.duplicates} steps of zero length."
     if clock.backwards:
@@ -260,7 +260,7 @@ def _ties(found: Inspection) -> Iterator[str]:
         if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
             yield (
                 f"Squares, cubes and products foretell {100 * each.gain:.0f} % of what a linear model leaves of "
-                f"'{each.output}' from one sample to the next (p = {each.p_value:.1g}): it is nonlinear."
+                f"'{each.output}' from one sample to the next (p = {max(each.p_value, 1e-99):.1g}): it is nonlinear."
             )
     if found.spectrum is not None:
         yield from _slow(found)

@@ -22,6 +22,8 @@ SPIKE = 8.0  # robust standard deviations that both flanks of a spike exceed
 FEW = 16  # distinct values up to which a signal is listed by its levels
 COPY = 1e-6  # of σ: RMS distance below which one column is an affine copy of another
 
+ENDLESS = 1e100  # s: no instant
+
 PE_LARGEST = 50  # largest order of persistency that is looked at
 PE_TOLERANCE = 1e-9  # of the variance: eigenvalues of the covariance below it count as zero
 PE_SAMPLES = 100_000  # samples of which the covariance is taken
@@ -55,7 +57,7 @@ class Clock:
     first_gap_experiment: int | None
     """Experiment (0-based) of the first gap."""
     unreadable: int
-    """Instants that are not finite numbers."""
+    """Instants that are no numbers below 1e100 s."""
 
 
 @dataclass(frozen=True)
@@ -132,24 +134,22 @@ def examine_clock(Ts: float | None, times: Sequence[FloatArray]) -> Clock:
         Ts: sampling time [s] if it is known.
         times: time column of each experiment [s]; empty without one.
     """
-    readable = [np.isfinite(time) for time in times]
-    with np.errstate(over="ignore", invalid="ignore"):
-        steps = [np.diff(time) for time in times]
+    readable = [np.abs(time) < ENDLESS for time in times]  # False for NaN
+    steps = [np.diff(np.where(ok, time, np.nan)) for ok, time in zip(readable, times, strict=True)]
     known = [step[np.isfinite(step)] for step in steps]
     everything = np.concatenate(known) if known else np.empty(0)
-    forward = everything[everything > 0]
+    forward = everything[everything > 1 / ENDLESS]
     median = float(np.median(forward)) if len(forward) else None
     source: Literal["given", "time column", "unknown"]
     source = "given" if Ts is not None else "unknown" if median is None else "time column"
     jitter, gaps, first = None, 0, None
     if median is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            jitter = finite(np.abs(everything - median).max() / median)
-            for index, step in enumerate(steps):
-                late = np.flatnonzero(step > 1.5 * median)
-                gaps += len(late)
-                if first is None and len(late):
-                    first = index, int(late[0]) + 1
+        jitter = float(np.abs(everything - median).max() / median)
+        for index, step in enumerate(steps):
+            late = np.flatnonzero(step > 1.5 * median)
+            gaps += len(late)
+            if first is None and len(late):
+                first = index, int(late[0]) + 1
     return Clock(
         median if Ts is None else Ts, source, median, jitter, int(np.sum(everything == 0)), int(np.sum(everything < 0)),
         gaps, first[1] if first else None, first[0] if first else None, int(sum(np.sum(~ok) for ok in readable)),
@@ -280,8 +280,9 @@ def find_copies(names: Sequence[str], columns: FloatArray) -> tuple[Copy, ...]:
     """
     if len(columns) < 3:
         return ()
-    mean = columns.mean(0)
-    sigma = columns.std(0)
+    scale = np.abs(columns).max(0)  # squares of huge numbers leave the range of numbers
+    columns = columns / np.where(scale > 0, scale, 1)
+    mean, sigma = columns.mean(0), columns.std(0)
     thin = (columns[:: max(1, len(columns) // 1000)] - mean) / np.where(sigma > 0, sigma, 1)
     found = []
     for i in range(len(names)):
@@ -294,8 +295,10 @@ def find_copies(names: Sequence[str], columns: FloatArray) -> tuple[Copy, ...]:
             gain = sign * sigma[j] / sigma[i]
             rest = columns[:, j] - mean[j] - gain * (columns[:, i] - mean[i])
             if np.sqrt(np.mean(rest**2)) <= COPY * sigma[j]:
-                equal = np.array_equal(columns[:, i], columns[:, j])
-                found.append(Copy(names[i], names[j], equal, finite(gain), finite(mean[j] - gain * mean[i])))
+                equal = bool(scale[i] == scale[j] and np.array_equal(columns[:, i], columns[:, j]))
+                with np.errstate(over="ignore", invalid="ignore"):
+                    physical = gain * scale[j] / scale[i], (mean[j] - gain * mean[i]) * scale[j]
+                found.append(Copy(names[i], names[j], equal, finite(physical[0]), finite(physical[1])))
     return tuple(found)
 
 

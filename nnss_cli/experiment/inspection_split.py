@@ -10,9 +10,10 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.experiment.inspection_signals import Channel
 
-# tried in this order; the first that gives the fewest warnings is recommended
+# tried in this order; the first with the fewest parts at rest or far out of range is recommended
 SHARES = ((60, 20, 20), (50, 30, 20), (50, 25, 25), (40, 30, 30))
-BEYOND = 0.01  # share of samples outside the training range that is worth a warning
+BEYOND = 0.02  # share of samples outside the training range that is worth a warning
+FAR = 0.1  # share that is worth another split
 PART_NAMES = ("training", "validation", "test")
 
 
@@ -45,7 +46,7 @@ class Split:
 
 
 def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channel]) -> Split:
-    """60/20/20 in time order, unless another division has fewer warnings; whole experiments where there are several.
+    """60/20/20 in time order, unless another division does better; whole experiments where there are several.
 
     With three experiments or more the last tests and the one before validates; with two the second tests and the last
     quarter of the first validates.
@@ -57,31 +58,31 @@ def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channe
     lengths = [len(data) for data in experiments]
     if len(experiments) >= 3:
         parts = [Part(e, 0, K) for e, K in enumerate(lengths)]
-        return _checked("whole experiments", parts[:-2], parts[-2:-1], parts[-1:], experiments, channels)
+        return _checked("whole experiments", parts[:-2], parts[-2:-1], parts[-1:], experiments, channels)[0]
     if len(experiments) == 2:
         K = lengths[0] * 3 // 4
         first, rest = Part(0, 0, K), Part(0, K, lengths[0])
         rule = "the second experiment tests, the last quarter of the first validates"
-        return _checked(rule, [first], [rest], [Part(1, 0, lengths[1])], experiments, channels)
+        return _checked(rule, [first], [rest], [Part(1, 0, lengths[1])], experiments, channels)[0]
     K = lengths[0] if lengths else 0
-    best: Split | None = None
+    best: tuple[Split, int] | None = None
     for shares in SHARES:
         a, b = K * shares[0] // 100, K * (shares[0] + shares[1]) // 100
         rule = f"{'/'.join(map(str, shares))} in time order"
         parts = [[Part(0, 0, a)], [Part(0, a, b)], [Part(0, b, K)]] if K else [[], [], []]
         found = _checked(rule, *parts, experiments, channels)
-        if best is None or len(found.warnings) < len(best.warnings):
+        if best is None or found[1] < best[1]:
             best = found
     assert best is not None
-    return best
+    return best[0]
 
 
 def _checked(
     rule: str, train: list[Part], val: list[Part], test: list[Part],
     experiments: Sequence[FloatArray], channels: Sequence[Channel],
-) -> Split:  # fmt: skip
-    """The split with its warnings."""
-    warnings = []
+) -> tuple[Split, int]:  # fmt: skip
+    """The split with its warnings, and how many of them are worth another split."""
+    warnings, grave = [], 0
     for i, channel in enumerate(channels):
         if channel.kind in ("empty", "constant"):
             continue
@@ -93,15 +94,17 @@ def _checked(
                 continue
             if low == high:
                 warnings.append(f"{channel.role} '{channel.name}' is constant in the {name} part")
+                grave += 1
             elif ranges is not None:
                 beyond = _share(columns, *ranges)
+                grave += beyond > FAR
                 if beyond > BEYOND:
                     warnings.append(
                         f"{100 * beyond:.2g} % of the {name} samples of {channel.role} '{channel.name}' lie outside "
                         "the range of the training part"
                     )
             ranges = ranges or (low, high)
-    return Split(rule, tuple(train), tuple(val), tuple(test), tuple(warnings))
+    return Split(rule, tuple(train), tuple(val), tuple(test), tuple(warnings)), grave
 
 
 def _range(columns: Sequence[FloatArray]) -> tuple[float, float]:

@@ -147,7 +147,9 @@ def draw_inspection(found: Inspection, title: str) -> Figure:
 
 def _text(name: str, width: int, lines: int = 2) -> str:
     """A name in lines of `width`, cut where it is longer; a dollar sign is no formula."""
-    wrapped = textwrap.wrap(name, width, max_lines=lines, placeholder="…") or [""]
+    wrapped = textwrap.wrap(name, width)
+    if len(wrapped) > lines:
+        wrapped = [*wrapped[: lines - 1], wrapped[lines - 1][: width - 1] + "…"]
     return "\n".join(wrapped).replace("$", r"\$")
 
 
@@ -228,7 +230,7 @@ def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], output
             if delay.samples is not None:
                 panel.axvline(delay.samples, color="#D55E00", linestyle="--", linewidth=1)
             said = "no delay found" if delay.samples is None else f"delay {delay.samples}"
-            panel.set_title(_text(f"{said}; input {name}" if i == 0 else said, 30, 3), fontsize=8)
+            panel.set_title(f"{_text(name, 30)}\n{said}" if i == 0 else said, fontsize=8)
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
             panel.tick_params(labelsize=8)
         panels[i, 0].set_ylabel(_label(output, "–"), fontsize=7, rotation=0, ha="right", va="center")
