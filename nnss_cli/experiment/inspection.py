@@ -103,7 +103,7 @@ def examine(
         for response, j in zip(pairs, live_inputs, strict=False):
             seconds = None if response.delay is None or clock.Ts is None else response.delay * clock.Ts
             curve = tuple(map(float, response.correlation))
-            delays.append(Delay(names[j], names[i], response.delay, seconds, response.bound, curve))
+            delays.append(Delay(names[j], names[i], response.delay, seconds, response.smooth, response.bound, curve))
         lags = [1 if response.delay is None else response.delay for response in pairs]
         gain = products(parts, q, output, lags) if pairs or not q else None
         coherence, unexplained = multiple_coherence(spectra, q, output) if spectra else (np.empty(0), None)
@@ -239,7 +239,7 @@ def _excitation(name: str, order: Persistency, spectra: Any, channel: int | None
 def _order(scaled: Sequence[FloatArray], split: Split, r: int, m: int, used: list[str]) -> OrderGuess:
     """The order guess on the split's training and validation parts; test is not looked at."""
     if r == 0 or m == 0:
-        return OrderGuess(None, (), 0, 0)
+        return OrderGuess(None, (), 0, 0, None)
     train, val = (
         [stretch for part in parts for stretch in _complete(scaled[part.experiment][part.start : part.stop])]
         for parts in (split.train, split.val)

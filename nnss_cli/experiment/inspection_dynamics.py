@@ -25,7 +25,7 @@ WHITENER = 10  # order of the AR filters that flatten the channels before the se
 PAST = 20  # past outputs of the high-order ARX model
 LAGS = 50  # longest delay looked for
 LEVEL = 2.5758293035489004  # Φ⁻¹(0.995): the bound of one lag, 99 %
-WORK = 4e8  # samples × columns² of one regression: more samples are left out
+WORK = 2e8  # samples × columns² of one regression: more samples are left out
 ORDER_SAMPLES = 4_000  # samples from which the order is guessed
 LARGEST = 6  # order tried
 LEAST = 20  # samples of a stretch that is worth a regression
@@ -153,7 +153,9 @@ class Response:
     bound: float
     """99 % of the ρ of one lag lie below it where there is no response: 2.58/√samples."""
     delay: int | None
-    """First lag of the response; None where no lag exceeds the bound for all lags together."""
+    """First lag of the response; None where no lag exceeds the bound for all lags together, or `smooth`."""
+    smooth: bool
+    """Whether there is a response, but an earlier one as strong could hide, since older inputs foretell those lags."""
     samples: int
     """Samples of the regression."""
 
@@ -192,20 +194,29 @@ def responses(parts: Sequence[FloatArray], inputs: int, output: int) -> list[Res
         fresh = np.abs(np.diag(T)[part]) > 1e-6 * np.linalg.norm(T[:, part], axis=0)
         noise = max(T[-1, -1] ** 2 / freedom, 1e-10 * float(np.sum(T[:, -1] ** 2)) / rows, np.finfo(float).tiny)
         z = np.where(fresh, T[part, -1] * np.sign(np.diag(T)[part]) / math.sqrt(noise), 0.0)[::-1]
-        found.append(Response(z / np.sqrt(z**2 + freedom), LEVEL / math.sqrt(freedom), _first(z), rows))
+        first, smooth = _first(z, np.abs(np.diag(T)[part])[::-1])
+        found.append(
+            Response(z / np.sqrt(z**2 + freedom), LEVEL / math.sqrt(freedom), None if smooth else first, smooth, rows)
+        )
     return found
 
 
-def _first(z: FloatArray) -> int | None:
-    """First lag of a response, from normal scores by lag."""
+def _first(z: FloatArray, fresh: FloatArray) -> tuple[int | None, bool]:
+    """First lag of a response, and whether an earlier one could hide.
+
+    Args:
+        z: normal scores by lag: coefficient times `fresh`.
+        fresh: norm of what is new of the input by lag.
+    """
     together = -float(scipy.special.ndtri(0.005 / len(z)))
     above = np.flatnonzero(np.abs(z) > together)
     if not len(above):
-        return None
+        return None, False
     first = int(above[0])
     while first > 0 and abs(z[first - 1]) > LEVEL:
         first -= 1
-    return first
+    strongest = float(np.max(np.abs(z[above]) / fresh[above]))
+    return first, bool(np.any(fresh[:first] * strongest < together))
 
 
 def _size(parts: Sequence[FloatArray], inputs: int) -> tuple[int, int] | None:
@@ -331,6 +342,8 @@ class OrderGuess:
     """Samples fitted on."""
     val_samples: int
     """Samples that judged."""
+    constant: float | None
+    """Validation error of a constant, the training mean, in the same units; None where nothing judged."""
 
 
 def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: int) -> OrderGuess:
@@ -349,7 +362,7 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
     )
     counts = sum(map(len, fit)), sum(map(len, judge))
     if not fit or not judge:
-        return OrderGuess(None, (), *counts)
+        return OrderGuess(None, (), *counts, None)
     scaling = Scaling.of(fit)
     fit, judge = tuple(map(scaling.apply, fit)), tuple(map(scaling.apply, judge))
     r, m = fit[0].input_count, fit[0].output_count
@@ -364,7 +377,8 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
             found.append(OrderCandidate(order, hankel, train_error, min(errors)))
     lowest = min((candidate.val for candidate in found), default=0.0)
     good = [candidate.order for candidate in found if candidate.val <= MARGIN * lowest]
-    return OrderGuess(good[0] if good else None, tuple(found), *counts)
+    constant = float(np.sqrt(np.mean(np.concatenate([record.y for record in judge]) ** 2)))
+    return OrderGuess(good[0] if good else None, tuple(found), *counts, constant)
 
 
 def excerpt(parts: Sequence[FloatArray], limit: int, inputs: int) -> list[FloatArray]:

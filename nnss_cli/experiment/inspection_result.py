@@ -9,7 +9,7 @@ from typing import Any
 
 from nnss_cli.experiment.inspection_dynamics import LAGS, LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
-from nnss_cli.experiment.inspection_split import Split
+from nnss_cli.experiment.inspection_split import Split, percent
 
 UNEVEN = 0.01  # of a step
 STOPPED = 0.01  # share of samples at an extreme value
@@ -44,9 +44,11 @@ class Delay:
     output: str
     """Name of the output."""
     samples: int | None
-    """Delay [samples]; None where nothing is above the bound."""
+    """Delay [samples]; None where nothing is above the bound, or `smooth`."""
     seconds: float | None
     """Delay [s]; None without Ts."""
+    smooth: bool
+    """Whether there is a response whose delay cannot be told, since the input's past foretells it."""
     bound: float
     """99 % bound of one lag's correlation where there is no response."""
     correlation: tuple[float, ...]
@@ -168,7 +170,7 @@ def _record(found: Inspection) -> Iterator[str]:
             f"the first before row {clock.first_gap}{where}."
         )
     if clock.jitter is not None and clock.jitter > UNEVEN:
-        yield f"The time column is not uniform: a step is {100 * clock.jitter:.2g} % off the median step."
+        yield f"The time column is not uniform: a step is {percent(clock.jitter)} off the median step."
     if clock.source == "given" and clock.median_step is not None and clock.Ts is not None:
         off = abs(clock.median_step - clock.Ts) / clock.Ts
         if off > 1e-3:
@@ -196,13 +198,13 @@ def _channel(c: Channel) -> Iterator[str]:
         for share, extreme, value in ((c.at_minimum, "minimum", c.minimum), (c.at_maximum, "maximum", c.maximum)):
             if share > STOPPED:
                 yield (
-                    f"{100 * share:.2g} % of the {name} is exactly its {extreme} {value:.6g}, in runs of at least "
+                    f"{percent(share)} of the {name} is exactly its {extreme} {value:.6g}, in runs of at least "
                     "three samples: look for a stop or saturation."
                 )
         if c.bits is not None and c.step is not None and c.sigma and c.step / 12**0.5 > COARSE * c.sigma:
             yield (
                 f"The {name} is quantised in steps of {c.step:.4g} ({c.bits:.1f} bits): "
-                f"rounding noise of {100 * c.step / 12**0.5 / c.sigma:.2g} % of its σ."
+                f"rounding noise of {percent(c.step / 12**0.5 / c.sigma)} of its σ."
             )
     if c.spikes and c.spikes <= max(1, c.samples // 100):
         yield f"The {name} has {c.spikes} single-sample spikes, the first in row {c.first_spike}."
@@ -243,7 +245,12 @@ def _inputs(found: Inspection) -> Iterator[str]:
 
 def _ties(found: Inspection) -> Iterator[str]:
     for delay in found.delays:
-        if delay.samples is None:
+        if delay.smooth:
+            yield (
+                f"'{delay.output}' responds to '{delay.input}', but the input is too smooth to tell the delay: "
+                "its past foretells it."
+            )
+        elif delay.samples is None:
             yield (
                 f"No response of '{delay.output}' to '{delay.input}' within {len(delay.correlation) - 1} samples "
                 "is above the noise."
@@ -264,6 +271,12 @@ def _ties(found: Inspection) -> Iterator[str]:
             )
     if found.spectrum is not None:
         yield from _slow(found)
+    lowest = min((c.val for c in found.order.candidates), default=0.0)
+    if found.order.constant is not None and lowest >= found.order.constant:
+        yield (
+            "No linear model tried simulates the validation part better than a constant would: "
+            "the guess of the order says little."
+        )
     if found.order.suggested == LARGEST:
         yield f"The linear order is at least {LARGEST}, the largest tried: `nnss order` looks further."
 

@@ -45,6 +45,11 @@ class Split:
     """Where a part does not excite, or goes beyond the training range."""
 
 
+def percent(share: float) -> str:
+    """Two digits, or whole percents."""
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
 def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channel]) -> Split:
     """60/20/20 in time order, unless another division does better; whole experiments where there are several.
 
@@ -83,6 +88,7 @@ def _checked(
 ) -> tuple[Split, int]:  # fmt: skip
     """The split with its warnings, and how many of them are worth another split."""
     warnings, grave = [], 0
+    outside: dict[str, list[str]] = {name: [] for name in PART_NAMES}
     for i, channel in enumerate(channels):
         if channel.kind in ("empty", "constant"):
             continue
@@ -99,11 +105,11 @@ def _checked(
                 beyond = _share(columns, *ranges)
                 grave += beyond > FAR
                 if beyond > BEYOND:
-                    warnings.append(
-                        f"{100 * beyond:.2g} % of the {name} samples of {channel.role} '{channel.name}' lie outside "
-                        "the range of the training part"
-                    )
+                    outside[name].append(f"{percent(beyond)} of {channel.role} '{channel.name}'")
             ranges = ranges or (low, high)
+    for name, channels_outside in outside.items():
+        if channels_outside:
+            warnings.append(f"samples of the {name} part lie outside the training range: {', '.join(channels_outside)}")
     return Split(rule, tuple(train), tuple(val), tuple(test), tuple(warnings)), grave
 
 

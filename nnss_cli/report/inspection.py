@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from nnss_cli.experiment.inspection_result import Inspection
+from nnss_cli.experiment.inspection_result import Delay, Inspection
 from nnss_cli.report.figures import STYLE, Axis
 from nnss_cli.report.tables import number
 
@@ -66,12 +66,16 @@ def response_rows(found: Inspection) -> list[dict[str, str]]:
     return [
         {
             "input": d.input, "output": d.output,
-            "delay [samples]": "none found" if d.samples is None else str(d.samples),
+            "delay [samples]": _said(d),
             "delay [s]": number(d.seconds),
             "largest |correlation|": number(max(map(abs, d.correlation)), 2), "99 % bound": number(d.bound, 2),
         }
         for d in found.delays
     ]  # fmt: skip
+
+
+def _said(delay: Delay) -> str:
+    return "input too smooth" if delay.smooth else "none found" if delay.samples is None else str(delay.samples)
 
 
 def output_rows(found: Inspection) -> list[dict[str, str]]:
@@ -229,7 +233,7 @@ def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], output
             panel.axhline(0, color="black", linewidth=0.6)
             if delay.samples is not None:
                 panel.axvline(delay.samples, color="#D55E00", linestyle="--", linewidth=1)
-            said = "no delay found" if delay.samples is None else f"delay {delay.samples}"
+            said = f"delay: {_said(delay)}"
             panel.set_title(f"{_text(name, 30)}\n{said}" if i == 0 else said, fontsize=8)
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
             panel.tick_params(labelsize=8)

@@ -187,6 +187,18 @@ def test_delay_is_found_in_a_coloured_input(delay: int) -> None:
     assert found.delay == delay
 
 
+def test_a_smooth_input_tells_no_delay() -> None:
+    """What older inputs foretell is no news at any lag: a lag found among noise would be no delay."""
+    t = np.arange(1024)
+    random = np.random.default_rng(0)
+    u = sum((np.cos(2 * np.pi * i / 1024 * t + random.uniform(0, 7)) for i in range(1, 11)), np.zeros(1024))
+    y = lfilter([0, 0, 0, 0.1], [1, -0.9], np.tile(u, 3))[1024:2048]
+    found = examine({"u": u}, {"y": y + 0.02 * y.std() * random.standard_normal(1024)})
+    assert found.delays[0].samples is None
+    if found.delays[0].smooth:
+        assert any("too smooth to tell the delay" in remark for remark in found.remarks)
+
+
 def test_delays_of_several_correlated_inputs_are_told_apart() -> None:
     random = np.random.default_rng(3)
     u = random.standard_normal(3000)
@@ -329,7 +341,10 @@ def test_ranges_beyond_the_training_part_are_told() -> None:
     u, y = plant(1000)
     y[900:] += 100
     found = examine({"u": u}, {"y": y})
-    assert any("of the test samples of output 'y' lie outside the range" in remark for remark in found.remarks)
+    assert any(
+        "samples of the test part lie outside the training range: 50 % of output 'y'" in remark
+        for remark in found.remarks
+    )
 
 
 def test_several_experiments_are_split_whole() -> None:
@@ -358,6 +373,7 @@ def test_several_experiments_are_split_whole() -> None:
         ({"y": plant(900)[1] + np.where(np.arange(900) == 5, 40, 0)}, "1 single-sample spikes, the first in row 5"),
         ({"y": np.round(plant(900)[1], 0)}, "The output 'y' is quantised in steps of 1 "),
         ({"y": plant(900, bend=0.5)[1]}, "it is nonlinear"),
+        ({"y": np.random.default_rng(5).standard_normal(900).cumsum()}, "better than a constant would"),
         ({"y": lfilter([1.0], [1, -1.98, 0.9801], plant(900)[0])}, "sampled faster than it needs"),
     ],
 )  # fmt: skip
