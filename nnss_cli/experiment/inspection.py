@@ -110,7 +110,7 @@ def examine(
         linearity.append(
             Linearity(
                 names[i], unexplained, () if unexplained is None else tuple(map(float, coherence[1:])),
-                gain and gain.gain, gain and gain.p_value,
+                None if gain is None else gain.gain, None if gain is None else gain.p_value,
             )
         )  # fmt: skip
     split = recommend_split(experiments, channels)
@@ -144,7 +144,9 @@ def _read(
             + (f" and {len(times)}" if times else "")
         )
     first = (list(ins[0]), list(outs[0])) if ins else ([], [])
-    names, experiments, clocks = [*first[0], *first[1]], [], []
+    names = [*first[0], *first[1]]
+    experiments: list[FloatArray] = []
+    clocks: list[FloatArray] = []
     for index, (u, y) in enumerate(zip(ins, outs, strict=True)):
         if (list(u), list(y)) != first:
             raise InputError(
@@ -178,7 +180,7 @@ def _column(name: str, values: Any) -> FloatArray:
 
 def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int]) -> list[FloatArray]:
     """The columns that vary, centred and over their σ in all experiments."""
-    scaled = [np.empty((len(data), len(alive)), order="F") for data in experiments]
+    scaled: list[FloatArray] = [np.empty((len(data), len(alive)), order="F") for data in experiments]
     for target, i in enumerate(alive):
         # by the largest first: squares of huge numbers leave the range of numbers
         largest = max(float(np.nanmax(np.abs(data[:, i]), initial=0)) for data in experiments)
@@ -197,7 +199,7 @@ def _stretches(experiments: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _complete(data: FloatArray) -> list[FloatArray]:
-    return [data[a:b] for a, b in zip(*runs(np.isfinite(data).all(axis=1)), strict=True)]
+    return [data[a:b] for a, b in zip(*runs(np.asarray(np.isfinite(data).all(axis=1))), strict=True)]
 
 
 def _standardised(parts: Sequence[FloatArray]) -> list[FloatArray]:

@@ -188,11 +188,13 @@ def responses(parts: Sequence[FloatArray], inputs: int, output: int) -> list[Res
     found = []
     for i in range(inputs):
         ordered = [k for j, group in enumerate(groups) if j != i + 1 for k in group] + groups[i + 1] + [columns - 1]
-        T = np.linalg.qr(R[:, ordered], mode="r")
+        T = np.asarray(np.linalg.qr(R[:, ordered], mode="r"))
         part = slice(columns - 1 - (L + 1), columns - 1)
         # what rounding leaves of a foretold input is no innovation
         fresh = np.abs(np.diag(T)[part]) > 1e-6 * np.linalg.norm(T[:, part], axis=0)
-        noise = max(T[-1, -1] ** 2 / freedom, 1e-10 * float(np.sum(T[:, -1] ** 2)) / rows, np.finfo(float).tiny)
+        noise = max(
+            float(T[-1, -1]) ** 2 / freedom, 1e-10 * float(np.sum(T[:, -1] ** 2)) / rows, float(np.finfo(float).tiny)
+        )
         z = np.where(fresh, T[part, -1] * np.sign(np.diag(T)[part]) / math.sqrt(noise), 0.0)[::-1]
         first, smooth = _first(z, np.abs(np.diag(T)[part])[::-1])
         found.append(

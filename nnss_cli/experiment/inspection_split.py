@@ -74,8 +74,8 @@ def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channe
     for shares in SHARES:
         a, b = K * shares[0] // 100, K * (shares[0] + shares[1]) // 100
         rule = f"{'/'.join(map(str, shares))} in time order"
-        parts = [[Part(0, 0, a)], [Part(0, a, b)], [Part(0, b, K)]] if K else [[], [], []]
-        found = _checked(rule, *parts, experiments, channels)
+        train, val, test = ([Part(0, start, stop)] if K else [] for start, stop in ((0, a), (a, b), (b, K)))
+        found = _checked(rule, train, val, test, experiments, channels)
         if best is None or found[1] < best[1]:
             best = found
     assert best is not None
