@@ -13,15 +13,14 @@ from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import (
     LEAST,
-    OrderGuess,
     band,
     excerpt,
-    guess_order,
     multiple_coherence,
     products,
     responses,
     welch,
 )
+from nnss_cli.experiment.inspection_order import OrderGuess, guess_order
 from nnss_cli.experiment.inspection_result import (
     Delay,
     Envelope,

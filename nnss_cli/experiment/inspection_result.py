@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from nnss_cli.experiment.inspection_dynamics import LAGS, LARGEST, OrderGuess
+from nnss_cli.experiment.inspection_dynamics import LAGS
+from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
 from nnss_cli.experiment.inspection_split import Split, percent
 
