@@ -235,7 +235,7 @@ def test_unexplained_share_of_a_linear_system_is_the_noise(noise: float, colour:
 
 
 def test_a_long_memory_hardly_passes_for_noise() -> None:
-    """Poles of modulus 0.975, 1500 samples, 1 % noise power: 14 % would be unexplained without the whitening filters."""
+    """Poles of modulus 0.975, 1500 samples, 1 % noise power: 14 % would be unexplained without whitening."""
     shares = []
     for seed in range(5):
         random = np.random.default_rng(seed)
