@@ -266,9 +266,10 @@ def _ties(found: Inspection) -> Iterator[str]:
                 "linear model: noise, nonlinearity, unmeasured inputs or a long memory; coherence cannot tell which."
             )
         if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
+            size = "< 1e-16" if each.p_value < 1e-16 else f"= {each.p_value:.1g}"
             yield (
                 f"Squares, cubes and products foretell {100 * each.gain:.0f} % of what a linear model leaves of "
-                f"'{each.output}' from one sample to the next (p = {max(each.p_value, 1e-99):.1g}): it is nonlinear."
+                f"'{each.output}' from one sample to the next (p {size}): it is nonlinear."
             )
     if found.spectrum is not None:
         yield from _slow(found)
