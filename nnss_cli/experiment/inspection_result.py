@@ -1,0 +1,306 @@
+"""What is known of a record, and the remarks on it: sentences that say what was found and guess at no cause."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from nnss_cli.experiment.inspection_dynamics import LAGS
+from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
+from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
+from nnss_cli.experiment.inspection_split import Split, percent
+
+UNEVEN = 0.01  # of a step
+STOPPED = 0.01  # share of samples at an extreme value
+DRIFTS = 0.25  # share of the variance on a straight line
+COARSE = 0.02  # quantisation noise over σ
+FAST = 0.1  # of the power near the Nyquist frequency
+SLOW = 0.05  # of the Nyquist frequency: an output whose power lies below it
+SURE, WORTH = 0.01, 0.01  # p-value below and share above which a nonlinearity is told of
+MUCH = 0.05  # unexplained share that is worth a remark
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What one input excites."""
+
+    input: str
+    """Name."""
+    persistency: Persistency
+    """Order of persistent excitation."""
+    band: tuple[float, float] | None
+    """Frequencies that hold 95 % of the power, mean apart [Hz, or 1/sample without Ts]; None for a short record."""
+    near_nyquist: float | None
+    """Share of the power above 0.8 of the Nyquist frequency."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How an output follows an input."""
+
+    input: str
+    """Name of the input."""
+    output: str
+    """Name of the output."""
+    samples: int | None
+    """Delay [samples]; None where nothing is above the bound, or `smooth`."""
+    seconds: float | None
+    """Delay [s]; None without Ts."""
+    smooth: bool
+    """Whether there is a response whose delay cannot be told, since the input's past foretells it."""
+    bound: float
+    """99 % bound of one lag's correlation where there is no response."""
+    correlation: tuple[float, ...]
+    """Partial correlation by lag, 0 … L, of prewhitened signals, given all other inputs and past outputs."""
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """How much of an output a linear model can explain."""
+
+    output: str
+    """Name."""
+    unexplained: float | None
+    """Share of the power that the inputs do not explain linearly, by multiple coherence: noise or nonlinearity,
+    unmeasured inputs, or memory longer than a segment. None for a short record."""
+    coherence: tuple[float, ...]
+    """Multiple coherence by frequency; empty for a short record or one without inputs."""
+    gain: float | None
+    """Share of a linear model's one-step residual that squares, cubes and products foretell; None if too short."""
+    p_value: float | None
+    """Of the F test that they foretell nothing; small only for a nonlinearity."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Power by frequency, of all channels that have a spectrum."""
+
+    frequency: tuple[float, ...]
+    """Frequencies without zero [Hz, or 1/sample without Ts]."""
+    channels: tuple[str, ...]
+    """Names, inputs first."""
+    density: tuple[tuple[float, ...], ...]
+    """One-sided power density of each channel over its variance [1/Hz, or samples without Ts]."""
+    segment: int
+    """Samples of a Welch segment."""
+    averages: float
+    """Independent averages."""
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A channel over time, thinned to at most 500 points of smallest and largest value."""
+
+    channel: str
+    """Name."""
+    time: tuple[float, ...]
+    """Start of each point [s, or samples without Ts], experiments one after the other."""
+    low: tuple[float | None, ...]
+    """Smallest value; None where all are missing."""
+    high: tuple[float | None, ...]
+    """Largest value."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """All that is known of a record; plain numbers, texts and tuples, None where there is no answer."""
+
+    samples: tuple[int, ...]
+    """Rows of each experiment."""
+    clock: Clock
+    """Sampling instants."""
+    channels: tuple[Channel, ...]
+    """Inputs, then outputs."""
+    copies: tuple[Copy, ...]
+    """Columns that are equal or affine copies."""
+    excitation: tuple[Excitation, ...]
+    """One an input."""
+    joint: Persistency | None
+    """Persistency of all inputs together; None for fewer than two that vary."""
+    spectrum: Spectrum | None
+    """None for a short record."""
+    delays: tuple[Delay, ...]
+    """Each pair of an input and an output that vary."""
+    linearity: tuple[Linearity, ...]
+    """One an output that varies."""
+    order: OrderGuess
+    """A first guess of the linear order."""
+    split: Split
+    """The recommended split."""
+    orders: tuple[int, ...]
+    """Orders worth trying; empty where there is no guess."""
+    init_window: int
+    """Samples recommended to find x(0) from: 4 n and the longest delay, at most 50 and a tenth of any part; a rule."""
+    used: tuple[str, ...]
+    """Which part of the data each analysis took, where not all of it."""
+    remarks: tuple[str, ...]
+    """What a user should know, in sentences."""
+    envelopes: tuple[Envelope, ...]
+    """The channels over time, for the figure."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it."""
+        return dataclasses.asdict(self)
+
+
+def remarks_on(found: Inspection) -> tuple[str, ...]:
+    """The remarks: the record as a whole, its columns, its inputs, what ties them, the split."""
+    channels = [text for channel in found.channels for text in _channel(channel)]
+    return (*_record(found), *channels, *_inputs(found), *_ties(found), *_split(found))
+
+
+def _record(found: Inspection) -> Iterator[str]:
+    clock, kinds = found.clock, {channel.role for channel in found.channels}
+    for role in ("input", "output"):
+        if role not in kinds:
+            yield f"The record has no {role}s."
+    if clock.source == "unknown":
+        yield "The sampling time is not known: frequencies are in cycles a sample, delays in samples."
+    if clock.unreadable:
+        yield f"The time column has {clock.unreadable} values that are no instants."
+    if clock.duplicates:
+        yield f"The time column has {clock.duplicates} steps of zero length."
+    if clock.backwards:
+        yield f"The time column goes back {clock.backwards} times."
+    if clock.gaps:
+        where = f" of experiment {(clock.first_gap_experiment or 0) + 1}" if len(found.samples) > 1 else ""
+        yield (
+            f"The time column has {clock.gaps} gaps (steps over 1.5 times the median), "
+            f"the first before row {clock.first_gap}{where}."
+        )
+    if clock.jitter is not None and clock.jitter > UNEVEN:
+        yield f"The time column is not uniform: a step is {percent(clock.jitter)} off the median step."
+    if clock.source == "given" and clock.median_step is not None and clock.Ts is not None:
+        off = abs(clock.median_step - clock.Ts) / clock.Ts
+        if off > 1e-3:
+            yield f"The given Ts of {clock.Ts:g} s is not the time column's median step of {clock.median_step:g} s."
+    for copy in found.copies:
+        if copy.equal:
+            yield f"Columns '{copy.first}' and '{copy.second}' are equal."
+        elif copy.gain is not None and copy.offset is not None:
+            yield (
+                f"Column '{copy.second}' is {copy.gain:.4g} times '{copy.first}' plus {copy.offset:.4g}, "
+                "to a millionth of its σ."
+            )
+
+
+def _channel(c: Channel) -> Iterator[str]:
+    name = f"{c.role} '{c.name}'"
+    if c.kind == "empty":
+        yield f"The {name} holds no number."
+        return
+    if c.missing:
+        yield f"The {name} misses {c.missing} of {c.samples} samples, at most {c.longest_gap} in a row."
+    if c.kind == "constant":
+        yield f"The {name} is constant."
+    if c.levels > FEW:
+        for share, extreme, value in ((c.at_minimum, "minimum", c.minimum), (c.at_maximum, "maximum", c.maximum)):
+            if share > STOPPED:
+                yield (
+                    f"{percent(share)} of the {name} is exactly its {extreme} {value:.6g}, in runs of at least "
+                    "three samples: look for a stop or saturation."
+                )
+        if c.bits is not None and c.step is not None and c.sigma and c.step / 12**0.5 > COARSE * c.sigma:
+            yield (
+                f"The {name} is quantised in steps of {c.step:.4g} ({c.bits:.1f} bits): "
+                f"rounding noise of {percent(c.step / 12**0.5 / c.sigma)} of its σ."
+            )
+    if c.spikes and c.spikes <= max(1, c.samples // 100):
+        yield f"The {name} has {c.spikes} single-sample spikes, the first in row {c.first_spike}."
+    if c.trend is not None and c.trend_share is not None and c.trend_share > DRIFTS and c.role == "output":
+        yield (
+            f"A straight line over the record holds {100 * c.trend_share:.0f} % of the variance of the {name} "
+            f"({c.trend:+.1f} σ from start to end): drift, or a slow response."
+        )
+
+
+def _inputs(found: Inspection) -> Iterator[str]:
+    kinds = {channel.name: channel for channel in found.channels if channel.role == "input"}
+    needed = 2 * max(found.orders, default=1)
+    for e in found.excitation:
+        channel = kinds[e.input]
+        if channel.kind in ("empty", "constant"):
+            continue
+        if e.persistency.order < min(needed, e.persistency.largest):
+            yield (
+                f"The input '{e.input}' is persistently exciting of order {e.persistency.order} only: "
+                f"a model of order {max(found.orders, default=1)} needs {needed}."
+            )
+        if channel.switches < 10:
+            yield f"The input '{e.input}' changes only {channel.switches} times."
+        if e.near_nyquist is not None and e.near_nyquist > FAST:
+            yield (
+                f"{100 * e.near_nyquist:.0f} % of the power of the input '{e.input}' lies above 0.8 of the Nyquist "
+                "frequency: downsampling would lose it."
+            )
+    if found.joint is not None:
+        least = min((e.persistency.order for e in found.excitation if e.persistency.order > 1), default=0)
+        if found.joint.order < min(least, found.joint.largest):
+            yield (
+                f"Together the inputs are persistently exciting of order {found.joint.order} only: "
+                "they depend on each other, so their effects cannot be told apart."
+            )
+
+
+def _ties(found: Inspection) -> Iterator[str]:
+    for delay in found.delays:
+        if delay.smooth:
+            yield (
+                f"'{delay.output}' responds to '{delay.input}', but the input is too smooth to tell the delay: "
+                "its past foretells it."
+            )
+        elif delay.samples is None:
+            yield (
+                f"No response of '{delay.output}' to '{delay.input}' within {len(delay.correlation) - 1} samples "
+                "is above the noise."
+            )
+    longest = max((delay.samples or 0 for delay in found.delays), default=0)
+    if longest == LAGS:
+        yield f"A delay of {LAGS} samples is the longest looked for: the real one may be longer."
+    for each in found.linearity:
+        if each.unexplained is not None and each.unexplained > MUCH:
+            yield (
+                f"The inputs leave {100 * each.unexplained:.0f} % of the power of '{each.output}' unexplained by any "
+                "linear model: noise, nonlinearity, unmeasured inputs or a long memory; coherence cannot tell which."
+            )
+        if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
+            size = "< 1e-16" if each.p_value < 1e-16 else f"= {each.p_value:.1g}"
+            yield (
+                f"Squares, cubes and products foretell {100 * each.gain:.0f} % of what a linear model leaves of "
+                f"'{each.output}' from one sample to the next (p {size}): it is nonlinear."
+            )
+    if found.spectrum is not None:
+        yield from _slow(found)
+    lowest = min((c.val for c in found.order.candidates), default=0.0)
+    if found.order.constant is not None and lowest >= found.order.constant:
+        yield (
+            "No linear model tried simulates the validation part better than a constant would: "
+            "the guess of the order says little."
+        )
+    if found.order.suggested == LARGEST:
+        yield f"The linear order is at least {LARGEST}, the largest tried: `nnss order` looks further."
+
+
+def _slow(found: Inspection) -> Iterator[str]:
+    assert found.spectrum is not None
+    nyquist = found.spectrum.frequency[-1]
+    for name, density in zip(found.spectrum.channels, found.spectrum.density, strict=True):
+        role = next(channel.role for channel in found.channels if channel.name == name)
+        inside = sum(d for f, d in zip(found.spectrum.frequency, density, strict=True) if f <= SLOW * nyquist)
+        if role == "output" and sum(density) > 0 and inside > 0.99 * sum(density):
+            yield (
+                f"99 % of the power of '{name}' lies below {100 * SLOW:.0f} % of the Nyquist frequency: "
+                "the record may be sampled faster than it needs."
+            )
+
+
+def _split(found: Inspection) -> Iterator[str]:
+    split = found.split
+    if sum(found.samples) < 100:
+        yield f"The record has {sum(found.samples)} samples: too few for more than a first look."
+    if split.rule != "60/20/20 in time order" and split.rule.endswith("time order"):
+        yield f"The split recommended is {split.rule}: with 60/20/20 more parts would be at rest or out of range."
+    for warning in split.warnings:
+        yield f"With the recommended split ({split.rule}), {warning}."
