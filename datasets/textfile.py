@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import gzip
 import re
-import warnings
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -127,8 +126,7 @@ def read_text(path: Path) -> pd.DataFrame:
     """
     layout = _layout(path)
     table = _read_fast(path, layout)
-    # A row with too few cells is filled with NaN without a word, and its last cell is always among them.
-    if table is None or table.iloc[:, -1].isna().any():
+    if table is None or _has_short_row(path, layout, table):
         table = _read_carefully(path, layout)
     nameless = layout.names[-1] == str(len(layout.names))
     if nameless and len(layout.names) > 1 and table.iloc[:, -1].isna().all():
@@ -204,8 +202,8 @@ def _layout(path: Path) -> Layout:
     lines = [line.strip() for _, line in sample]
     # The one that stands in most lines; ";" before "," since a decimal comma stands with it. One that the first line
     # lacks is none: under a single name, the commas are decimal.
-    marks = [mark for mark in "\t;, " if _holds(lines[0], mark)]
-    delimiter = max(marks, key=lambda mark: sum(_holds(line, mark) for line in lines), default=";")
+    marks = [mark for mark in "\t;, " if _count(lines[0], mark) > 1]
+    delimiter = max(marks, key=lambda mark: sum(_count(line, mark) > 1 for line in lines), default=";")
     rows = _rows(path, delimiter)
     number, first = next(rows)
     names = header(first, source, number)
@@ -221,13 +219,14 @@ def _layout(path: Path) -> Layout:
     return replace(layout, text=text)
 
 
-def _holds(line: str, mark: str) -> bool:
+def _count(line: str, mark: str) -> int:
+    """Cells in a line; 0 where its quotes are broken."""
     if mark == " ":
-        return len(_between_blanks(line)) > 1
+        return len(_between_blanks(line))
     try:
-        return len(next(csv.reader([line], delimiter=mark, skipinitialspace=True))) > 1
+        return len(next(csv.reader([line.rstrip("\n")], delimiter=mark, skipinitialspace=True)))
     except csv.Error:
-        return False
+        return 0
 
 
 def _decimal(path: Path, layout: Layout) -> str:
@@ -274,19 +273,21 @@ class _Samples:
 def _read_fast(path: Path, layout: Layout) -> pd.DataFrame | None:
     """The table as pandas reads it, or None when a cell or a row is not as expected."""
     columns = range(len(layout.names))
-    with _open(path) as stream, warnings.catch_warnings():
-        warnings.simplefilter("error", pd.errors.ParserWarning)  # a first row that is too long
+    if len(layout.text) != len(columns):
+        return None  # a first row that is too long would lose its end
+    kinds = {i: "object" if text else "float64" for i, text in zip(columns, layout.text, strict=True)}
+    with _open(path) as stream:
         samples = _Samples(path, stream, layout.skipped)
         try:
             table = pd.read_csv(
                 samples, header=None, names=columns, index_col=False, keep_default_na=False, na_values=list(MISSING),
                 sep=r"\s+" if layout.delimiter == " " else layout.delimiter, decimal=layout.decimal,
-                dtype={i: "object" if text else "float64" for i, text in zip(columns, layout.text, strict=True)},
+                dtype=kinds,
                 skipinitialspace=True, **_EXACT,
             )  # fmt: skip
         except InputError:
             raise
-        except (ValueError, pd.errors.ParserWarning):  # a parser's error and a wrong byte are values' errors too
+        except ValueError:  # a parser's error and a wrong byte are values' errors too
             return None
     if samples.lines == len(table):
         table.index = pd.RangeIndex(layout.skipped + 1, layout.skipped + 1 + len(table))
@@ -297,6 +298,18 @@ def _read_fast(path: Path, layout: Layout) -> pd.DataFrame | None:
         table.index = pd.Index(numbers)
     table.columns = pd.Index(layout.names)
     return table
+
+
+def _has_short_row(path: Path, layout: Layout, table: pd.DataFrame) -> bool:
+    """Whether a row has too few cells: pandas fills it with NaN without a word, the last cell always among them."""
+    suspects = set(table.index[table.iloc[:, -1].isna()])
+    if not suspects:
+        return False
+    with _open(path) as stream:
+        for number, line in _lines(path, stream, layout.skipped):
+            if number in suspects and _count(line, layout.delimiter) != len(layout.names):
+                return True
+    return False
 
 
 def _read_carefully(path: Path, layout: Layout) -> pd.DataFrame:

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from nnss_cli.datasets.description import Description, field_texts, read_description, write_description
 from nnss_cli.datasets.experiments import Experiments, load_experiments
@@ -55,7 +55,20 @@ def descriptions(draw: st.DrawFn) -> Description:
     )  # fmt: skip
 
 
+ODD = Description(
+    name="a",
+    title="\x7f",
+    files='"\x1f\\\n.csv',
+    test={"a.b": "\t"},
+    inputs="\x85",
+    outputs="ü💧'",
+    Ts=1e-05,
+    allow_outside=True,
+)
+
+
 @given(description=descriptions())
+@example(description=ODD)
 def test_a_description_comes_back_from_its_file(
     description: Description, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -155,6 +155,8 @@ def test_rows_are_counted_as_in_the_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(numbers(found, "u"), [1, 3, 5])
     with pytest.raises(InputError, match="^'a.csv' row 8, column 'y': expected a number, found 'x'$"):
         numbers(found, "y")
+    numeric = write(tmp_path / "c.csv", "u,y\n1,2\n# valve opened\n3,4\n\n5,6\n")
+    assert list(read_table(numeric).index) == [2, 4, 6]
     no_comment = write(tmp_path / "b.csv", "u,y\n" + "1,2\n" * 14 + "1,n/a\n1,2\n")
     with pytest.raises(InputError, match="^'b.csv' row 16, column 'y': expected a number, found 'n/a'$"):
         numbers(read_table(no_comment), "y")
@@ -272,6 +274,13 @@ def test_arrays_are_columns_by_their_shape(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_table(path, ["short"])["short"], range(4))
 
 
+def test_the_length_is_the_longest_that_two_columns_share(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", u=np.zeros(5), y=np.zeros(5), a=np.zeros(3), b=np.zeros(3), scratch=np.zeros(9))
+    assert list(read_table(tmp_path / "a.npz").columns) == ["u", "y"]
+    with pytest.raises(InputError, match="columns differ in length: 'u' has 5 samples, 'scratch' has 9"):
+        read_table(tmp_path / "a.npz", ["u", "scratch"])
+
+
 def test_matlab_s_own_hdf5_is_read_by_columns_and_without_its_insides(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -354,8 +363,11 @@ def test_sizes_are_refused_before_memory_is_taken(tmp_path: Path, monkeypatch: p
         ("a.csv", b"\n  \n# nothing\n", "'a.csv' is empty"),
         ("a.csv", b"u,y\n", "column names but no samples"),
         ("a.csv", b"u,y\n1,2\n3\n4,5\n", "'a.csv' row 3: expected 2 cells as in the rows before, found 1"),
+        ("a.csv", b"u,y\n1,2\n3,\n# x\n4\n", "'a.csv' row 5: expected 2 cells as in the rows before, found 1"),
+        ("a.dat", b"u y\n1 2\n 3 \n4 5\n", "'a.dat' row 3: expected 2 cells as in the rows before, found 1"),
         ("a.csv", b"u,y\n1,2\n3,4,5\n", "'a.csv' row 3: expected 2 cells as in the rows before, found 3"),
         ("a.csv", b"u,y\n1,2,3\n3,4,5\n", "'a.csv' row 2: expected 2 cells as in the rows before, found 3"),
+        ("a.csv", b"u,y\n1,2,3\n3,4\n", "'a.csv' row 2: expected 2 cells as in the rows before, found 3"),
         ("a.csv", b"u,y,u\n1,2,3\n", "columns 1 and 3 are both named 'u'"),
         ("a.csv", b"u,1,y\n1,2,3\n", "row 1: expected column names or samples, found both"),
         ("a.csv", b'u,y\n1,"2\n3,4\n', "'a.csv' row 2: unexpected end of data: mend the quotes"),
