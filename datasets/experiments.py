@@ -1,0 +1,265 @@
+"""Described files as experiments: read, put on one time axis, cut, checked, ready to make a dataset of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from nnss_cli.datasets.description import Description
+from nnss_cli.datasets.formats import numbers, place, read_table, times
+from nnss_cli.datasets.preparation import (
+    Trend,
+    Where,
+    check_agreement,
+    check_complete,
+    check_increasing,
+    cut,
+    downsample,
+    fit_trend,
+    interpolate_missing,
+    resample,
+    uniform_Ts,
+)
+from nnss_cli.datasets.record import Channels, FloatArray, Record
+
+from nnss_cli.errors import InputError
+
+NO_UNIT = "–"
+LARGEST_VALUE = 1e100
+"""A larger sample is no measurement, and its square would overflow."""
+
+
+@dataclass(frozen=True)
+class Experiments:
+    """What a description's files hold, split: all that a dataset is made of, but for the scaling."""
+
+    name: str
+    """Name of the record."""
+    train: tuple[Record, ...]
+    """Training experiments, physical units, without the trend."""
+    val: tuple[Record, ...]
+    """Validation experiments, likewise."""
+    tests: Mapping[str, tuple[Record, ...]]
+    """Named test sets, likewise; empty where there is none."""
+    channels: Channels
+    """Names and units."""
+    init_window: int
+    """First output samples from which the initial state is found; they are not scored."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the results must know: samples interpolated, trends taken off, no test."""
+    trend: Trend | None = None
+    """What was taken off every record, columns (inputs, outputs); None where nothing was."""
+    starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """When each record of a part ("train", "val" or a test set's name) starts in its file [s]."""
+
+    def removed(self, part: str) -> tuple[FloatArray, ...]:
+        """The trend (K, r + m) of each record of a part, to be added again; zeros where nothing was taken off."""
+        records = {"train": self.train, "val": self.val, **self.tests}[part]
+        found = []
+        for record, start in zip(records, self.starts[part], strict=True):
+            shape = (len(record), record.input_count + record.output_count)
+            t = start + np.arange(len(record)) * record.Ts
+            found.append(np.zeros(shape) if self.trend is None else self.trend.at(t))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """A file's signals on a uniform time axis."""
+
+    file: str
+    names: tuple[str, ...]
+    values: FloatArray  # (K, r + m)
+    Ts: float
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A file's samples in one part."""
+
+    signals: _Signals
+    samples: slice
+
+    @property
+    def values(self) -> FloatArray:
+        return self.signals.values[self.samples]
+
+    @property
+    def t(self) -> FloatArray:
+        return (self.samples.start + np.arange(len(self.values))) * self.signals.Ts
+
+
+def load_experiments(description: Description) -> Experiments:
+    """Read, prepare and split the described files.
+
+    The order is: columns, time axis, missing samples, resampling, downsampling, split, trend (fitted on the training
+    part only).
+
+    Raises:
+        InputError: whatever is wrong in a file or with its part, in one line that names it.
+    """
+    parts = _parts(description)
+    r = len(description.inputs)
+    first = parts["train"][0].signals
+    for name, group in parts.items():
+        for part in group:
+            _check_alike(first, part.signals)
+            _check_length(name, part, description)
+    _check_varying(parts["train"], r)
+    trend = fit_trend([(part.t, part.values) for part in parts["train"]], description.detrend)
+
+    def records(group: Sequence[_Part]) -> tuple[Record, ...]:
+        found = []
+        for part in group:
+            values = part.values if trend is None else part.values - trend.at(part.t)
+            found.append(Record(values[:, :r], values[:, r:], first.Ts))
+        return tuple(found)
+
+    tests = {name: group for name, group in parts.items() if name not in ("train", "val")}
+    files = {part.signals.file: part.signals for group in parts.values() for part in group}
+    notes = [note for signals in files.values() for note in signals.notes]
+    if trend is not None:
+        kind = "mean" if description.detrend == "constant" else "least-squares line in time"
+        notes.append(f"the training part's {kind} was taken off every signal")
+    if not tests:
+        notes.append("there is no test part")
+    channels = Channels(
+        first.names[:r],
+        first.names[r:],
+        description.input_units or (NO_UNIT,) * r,
+        description.output_units or (NO_UNIT,) * len(description.outputs),
+    )
+    return Experiments(
+        name=description.name,
+        train=records(parts["train"]),
+        val=records(parts["val"]),
+        tests={name: records(group) for name, group in tests.items()},
+        channels=channels,
+        init_window=description.init_window,
+        notes=tuple(notes),
+        trend=trend,
+        starts={name: tuple(float(part.t[0]) for part in group) for name, group in parts.items()},
+    )
+
+
+def _parts(description: Description) -> dict[str, list[_Part]]:
+    """The parts by name, "train" and "val" first, each with its files' samples."""
+    roles = {"train": description.files, "val": description.val, "test": sum(description.test.values(), ())}
+    role_of: dict[Path, str] = {}
+    for role, files in roles.items():
+        for file in files:
+            if role_of.setdefault(description.path(file), role) != role:
+                raise InputError(f"file '{file}' stands under two of train, val and test: expected different records")
+    read = {file: _signals(description, file) for files in roles.values() for file in files}
+    parts: dict[str, list[_Part]] = {"train": [], "val": []}
+    for file in description.files:
+        K = len(read[file].values)
+        for (name, samples), fraction in zip(cut(K, description.parts).items(), description.parts, strict=True):
+            if fraction > 0:
+                parts.setdefault(name, []).append(_Part(read[file], samples))
+    for group, files in {"val": description.val, **description.test}.items():
+        parts[group] = parts.get(group, []) + [_Part(read[file], slice(0, len(read[file].values))) for file in files]
+    return parts
+
+
+def _signals(description: Description, file: str) -> _Signals:
+    path = description.path(file)
+    columns = [*description.inputs, *description.outputs]
+    wanted = columns if description.time is None else [*columns, description.time]
+    sheet = description.sheet if path.suffix.lower() == ".xlsx" else None
+    table = read_table(path, wanted, sheet)
+    names = [str(name) for name in table.columns]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"'{path.name}': column '{name}' is asked for twice, by name and by number")
+    signals = tuple(names[: len(columns)])
+
+    def where(k: int) -> str:
+        return place(table, k)
+
+    values = np.column_stack([numbers(table, name) for name in signals])
+    too_large = np.abs(values) > LARGEST_VALUE
+    if too_large.any():
+        k, i = (int(at) for at in np.argwhere(too_large)[0])
+        raise InputError(
+            f"{where(k)}, column '{signals[i]}': {values[k, i]:g}: expected numbers below {LARGEST_VALUE:g}"
+        )
+    with _naming(path):
+        stamps = None if description.time is None else times(table, names[-1])
+        t, Ts = _time_axis(description, stamps, len(values), where)
+    notes = []
+    count = int(np.isnan(values).sum())
+    if description.missing == "refuse":
+        check_complete(values, signals, where)
+    elif count:
+        values = interpolate_missing(t, values, signals, where)
+        notes.append(f"'{path.name}': {count} missing samples were interpolated")
+    if description.resample is not None:
+        with _naming(path):
+            values = resample(t, values, description.resample)
+        notes.append(
+            f"'{path.name}': resampled from {len(t)} samples (longest step {np.diff(t).max():.6g} s) to {Ts:.6g} s"
+        )
+    if description.downsample > 1:
+        with _naming(path):
+            values, Ts = downsample(values, description.downsample), Ts * description.downsample
+    return _Signals(file, signals, values, Ts, tuple(notes))
+
+
+def _time_axis(description: Description, t: FloatArray | None, K: int, where: Where) -> tuple[FloatArray, float]:
+    """The time of each sample, and the sampling time (of no use yet where the record is to be resampled)."""
+    if t is None:
+        assert description.Ts is not None
+        return np.arange(K) * description.Ts, description.Ts
+    if description.resample is not None:
+        check_increasing(t, where)
+        return t, description.resample
+    Ts = uniform_Ts(t, where)
+    if description.Ts is not None:
+        check_agreement(description.Ts, Ts, f"column '{description.time}' against Ts")
+        Ts = description.Ts
+    return t, Ts
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the file's name before an error that does not know it."""
+    try:
+        yield
+    except InputError as error:
+        told = str(error)
+        raise error if told.startswith(f"'{path.name}'") else InputError(f"'{path.name}': {told}") from error
+
+
+def _check_alike(first: _Signals, other: _Signals) -> None:
+    if other.names != first.names:
+        raise InputError(
+            f"'{other.file}' has the channels {', '.join(other.names)}, expected {', '.join(first.names)} as in "
+            f"'{first.file}': name the columns alike, or describe the files apart"
+        )
+    with _naming(Path(other.file)):
+        check_agreement(first.Ts, other.Ts, f"against '{first.file}'")
+
+
+def _check_length(name: str, part: _Part, description: Description) -> None:
+    least = max(description.init_window, *description.orders, 1) + 1
+    if len(part.values) < least:
+        raise InputError(
+            f"'{part.signals.file}': {len(part.values)} samples are too few for {name}: expected {least} or more, one "
+            "beyond the init_window and the largest order: take a longer record or another split"
+        )
+
+
+def _check_varying(train: Sequence[_Part], r: int) -> None:
+    least = np.min([part.values.min(axis=0) for part in train], axis=0)
+    most = np.max([part.values.max(axis=0) for part in train], axis=0)
+    for i, name in enumerate(train[0].signals.names):
+        if least[i] == most[i]:
+            raise InputError(
+                f"{'input' if i < r else 'output'} '{name}' is constant over the training part ({least[i]:g}): nothing "
+                "can be learnt from it; leave it out, or train where it moves"
+            )

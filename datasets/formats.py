@@ -1,0 +1,266 @@
+"""Any file as a table: text, Excel, Parquet, MAT, NPZ, HDF5. Files are data: nothing in them is executed."""
+
+from __future__ import annotations
+
+import importlib
+import zipfile
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from nnss_cli.datasets.arrayfile import as_table, hdf5_variables, is_hdf5, mat_variables, npz_variables
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown
+
+from nnss_cli.errors import InputError
+
+Columns = Sequence[str | int]
+
+TEXT = (".csv", ".tsv", ".txt", ".dat")
+"""Suffixes of delimited text, which may be packed (.csv.gz)."""
+SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
+"""All suffixes that are known."""
+
+
+def read_table(path: Path, columns: Columns | None = None, sheet: str | int | None = None) -> pd.DataFrame:
+    """The file as a table, one row a sample; the index is the row as counted in the file.
+
+    Columns of numbers are float64 (whole numbers beyond 2⁵³ and decimals are rounded to the nearest double, false
+    and true are 0 and 1, missing cells NaN), dates are datetime64, all else stays as it is, for `numbers` to refuse by
+    row and column when it is used. `attrs["source"]` is the file's name, `attrs["left out"]` tells why parts of
+    a file that are no columns are none.
+
+    Args:
+        path: A regular file; its suffix tells the format.
+        columns: Which columns, by name or by number from 1; all if None.
+        sheet: Sheet of an Excel file, by name or by number from 1; the first if None.
+
+    Raises:
+        InputError: no such file or column, an unknown suffix, or a file that cannot be read as what it says it is.
+    """
+    name = path.name.lower().removesuffix(".gz")
+    suffix = Path(name).suffix
+    if not path.exists():
+        near = get_close_matches(path.name, _neighbours(path), 1)
+        raise InputError(f"no such file: {shown(str(path))}" + (f"; did you mean '{near[0]}'?" if near else ""))
+    if not path.is_file():
+        raise InputError(
+            f"'{path}' is {'a folder' if path.is_dir() else 'not a regular file'}: expected a file of samples"
+        )
+    if suffix not in (TEXT if name != path.name.lower() else SUFFIXES):
+        raise InputError(
+            f"'{path.name}': no format is known by the suffix '{path.suffix}': expected one of "
+            f"{', '.join(SUFFIXES)}, or text packed as .gz"
+        )
+    if path.stat().st_size == 0:
+        raise InputError(f"'{path.name}' is empty: expected samples")
+    if sheet is not None and suffix != ".xlsx":
+        raise InputError(f"'{path.name}' has no sheets: leave out sheet")
+    try:
+        table = _read(path, suffix, columns, sheet)
+    except InputError:
+        raise
+    except Exception as error:  # on a damaged file, a parser of a foreign format may raise anything
+        told = printable(str(error)) or type(error).__name__
+        raise InputError(
+            f"'{path.name}' cannot be read as {suffix}: {told}; it may be cut off, damaged or of another format"
+        ) from error
+    table.attrs["source"] = path.name
+    if table.empty:
+        raise InputError(f"'{path.name}' holds no samples: expected a row for each")
+    return table if columns is None else table[[find_column(table, column) for column in columns]]
+
+
+def find_column(table: pd.DataFrame, column: str | int) -> str:
+    """The name of a column given by name or by number from 1 (digits that name no column are a number).
+
+    Raises:
+        InputError: there is none; the message gives the nearest name, or why the file's array is no column.
+    """
+    names = [str(name) for name in table.columns]
+    source = table.attrs.get("source", "table")
+    if isinstance(column, str) and column in names:
+        return column
+    left_out = table.attrs.get("left out", {})
+    if column in left_out:
+        raise InputError(f"'{source}': '{column}' cannot be a column: {left_out[column]}")
+    number = (
+        int(column) if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9) else None
+    )
+    if number is None:
+        near = get_close_matches(str(column), names, 1, 0.5)
+        hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
+        raise InputError(f"'{source}' has no column {shown(column)}: {hint}")
+    if not 1 <= number <= len(names):
+        raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1")
+    return names[number - 1]
+
+
+def numbers(table: pd.DataFrame, name: str) -> FloatArray:
+    """A column as float64, NaN where a sample is missing.
+
+    Raises:
+        InputError: a cell holds no finite number; the message names row and column.
+    """
+    column = table[name]
+    if column.dtype.kind == "O":
+        values = np.array([_number(value) for value in column], dtype=object)
+        words = np.array([not isinstance(value, float) for value in values])
+        if words.any():
+            k = int(words.argmax())
+            raise InputError(f"{place(table, k)}, column '{name}': expected a number, found {shown(values[k])}")
+        array = values.astype(np.float64)
+    elif column.dtype.kind == "M":
+        raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the date {column.iloc[0]}")
+    else:
+        array = column.to_numpy(np.float64)
+    infinite = np.isinf(array)
+    if infinite.any():
+        k = int(infinite.argmax())
+        raise InputError(f"{place(table, k)}, column '{name}': expected a finite number, found {array[k]}")
+    return array
+
+
+def times(table: pd.DataFrame, name: str) -> FloatArray:
+    """A time column in seconds: numbers as they are, dates and ISO 8601 text as seconds since the first.
+
+    Raises:
+        InputError: a cell is neither; the message names row and column.
+    """
+    column = table[name]
+    if column.dtype.kind == "O":
+        values = [_number(value) for value in column]
+        if all(isinstance(value, float) for value in values):
+            return numbers(table, name)
+        # Cell by cell, so that "2024-01-01" and 17 in one column are told apart.
+        as_text = [value if isinstance(value, str) else getattr(value, "isoformat", lambda: None)() for value in column]
+        stamps = pd.to_datetime(pd.Series(as_text, dtype=object), format="ISO8601", utc=True, errors="coerce")
+        wrong = np.flatnonzero(stamps.isna().to_numpy() & ~column.isna().to_numpy())
+        if len(wrong):
+            k = int(wrong[0])
+            raise InputError(
+                f"{place(table, k)}, column '{name}': expected a time (seconds, or as 2024-01-31T12:00:00.5), "
+                f"found {shown(column.iloc[k])}"
+            )
+    elif column.dtype.kind == "M":
+        stamps = column
+    else:
+        return numbers(table, name)
+    start = stamps[stamps.notna()].iloc[0] if stamps.notna().any() else None
+    return np.asarray((stamps - start).dt.total_seconds(), dtype=np.float64)
+
+
+def place(table: pd.DataFrame, k: int) -> str:
+    """Where sample k stands: the file, and the row as counted there."""
+    return f"'{table.attrs.get('source', 'table')}' row {table.index[k]}"
+
+
+def _number(value: object) -> object:
+    """The float in a cell, or what it holds instead."""
+    if isinstance(value, bool | np.bool_ | int | float | np.integer | np.floating):
+        return float(value)
+    return cell(value) if isinstance(value, str) else np.nan if pd.isna(value) else value
+
+
+def _neighbours(path: Path) -> list[str]:
+    try:
+        return [neighbour.name for neighbour in path.parent.iterdir()]
+    except OSError:
+        return []
+
+
+def _optional(package: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(f"this format needs the package {package}: pip install 'nnss[{extra}]'") from error
+
+
+def _read(path: Path, suffix: str, columns: Columns | None, sheet: str | int | None) -> pd.DataFrame:
+    if suffix in TEXT:
+        return read_text(path)
+    if suffix == ".xlsx":
+        return _read_excel(path, sheet)
+    if suffix == ".parquet":
+        return _read_parquet(path)
+    if suffix == ".npz":
+        return as_table(list(npz_variables(path)), path, columns)
+    if suffix == ".mat" and not is_hdf5(path):
+        return as_table(list(mat_variables(path)), path, columns)
+    h5py = _optional("h5py", "hdf5")
+    with h5py.File(path, "r") as file:
+        return as_table(hdf5_variables(file, matlab=suffix == ".mat"), path, columns)
+
+
+def _read_excel(path: Path, sheet: str | int | None) -> pd.DataFrame:
+    openpyxl = _optional("openpyxl", "excel")
+    with zipfile.ZipFile(path) as archive:
+        if sum(member.file_size for member in archive.infolist()) > LARGEST:
+            raise InputError(f"'{path.name}' unpacks to more than {LARGEST >> 30} GiB: cut it into parts")
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    try:
+        rows = list(book[_sheet(path, book.sheetnames, sheet)].iter_rows(values_only=True))
+    finally:
+        book.close()
+    filled = [i for i, row in enumerate(rows) if any(value is not None for value in row)]
+    if not filled:
+        raise InputError(f"'{path.name}' is empty: expected rows of samples")
+    first, last = filled[0], filled[-1]
+    width = max(j + 1 for row in rows for j, value in enumerate(row) if value is not None)
+    cells = [[*row[:width], *[None] * (width - len(row))] for row in rows[first : last + 1]]
+    names = header(cells[0], f"'{path.name}'", first + 1)
+    if names is not None:
+        cells, first = cells[1:], first + 1
+    names = names or tuple(str(j + 1) for j in range(width))
+    index = pd.RangeIndex(first + 1, first + 1 + len(cells))
+    data = {name: _typed([row[j] for row in cells]) for j, name in enumerate(names)}
+    return pd.DataFrame(data, index=index)
+
+
+def _sheet(path: Path, names: Sequence[str], sheet: str | int | None) -> str:
+    if sheet is None:
+        return names[0]
+    if isinstance(sheet, int) and 1 <= sheet <= len(names):
+        return names[sheet - 1]
+    if sheet in names:
+        return str(sheet)
+    raise InputError(f"'{path.name}' has no sheet {shown(sheet)}: it has {', '.join(names)}")
+
+
+def _typed(values: Sequence[object]) -> Any:
+    """Cells as float64 where each is a number or empty, else as they are."""
+    found = [_number(value) for value in values]
+    if all(isinstance(value, float) for value in found):
+        return np.array(found, dtype=np.float64)
+    return np.array([*values, None], dtype=object)[:-1]  # the None keeps numpy from making another type of them
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    parquet, arrow = _optional("pyarrow.parquet", "parquet"), _optional("pyarrow", "parquet")
+    with parquet.ParquetFile(path) as file:
+        schema = file.schema_arrow
+        check_names(schema.names, f"'{path.name}'")
+        if file.metadata.num_rows * len(schema.names) * 8 > LARGEST:
+            raise InputError(f"'{path.name}' holds more than {LARGEST >> 30} GiB: cut it into parts")
+        kinds, data, left_out = arrow.types, {}, {}
+        for field in schema:
+            if kinds.is_nested(field.type) or kinds.is_binary(field.type):
+                left_out[field.name] = f"type {field.type}, not numbers"
+                continue
+            column = file.read(columns=[field.name]).column(field.name)
+            if kinds.is_dictionary(field.type):
+                column = column.cast(field.type.value_type)
+            if kinds.is_boolean(column.type):
+                column = column.cast(arrow.uint8())
+            if kinds.is_integer(column.type) or kinds.is_floating(column.type) or kinds.is_decimal(column.type):
+                data[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
+            elif kinds.is_timestamp(column.type):
+                data[field.name] = column.cast(arrow.timestamp("ns")).to_numpy()
+            else:
+                data[field.name] = np.array([*column.to_pylist(), None], dtype=object)[:-1]
+        table = pd.DataFrame(data, index=pd.RangeIndex(1, file.metadata.num_rows + 1))
+    table.attrs["left out"] = left_out
+    return table

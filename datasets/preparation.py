@@ -1,0 +1,256 @@
+"""From raw columns to uniform samples: time axis, missing samples, resampling, decimation, trends, splits.
+
+Pure functions of arrays; time runs along the first axis. `where(k)` names sample k in a message, so that it can be
+the row of a file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from nnss_cli.datasets.record import FloatArray
+
+from nnss_cli.errors import InputError
+
+Where: TypeAlias = Callable[[int], str]
+
+JITTER = 0.01
+"""A time axis is uniform if no step differs from their median by more than this part of it."""
+AGREEMENT = 1e-3
+"""Two sampling times are one if they differ by no more than this part."""
+ATTENUATION = 60.0
+"""Of the anti-alias filter above the new Nyquist frequency [dB]; its ripple below is the same, 0.1 %."""
+TRANSITION = 0.2
+"""Width of the filter's transition band below the new Nyquist frequency, as a part of it."""
+HALF_LENGTH = 19
+"""Half the filter's length in new samples, from Kaiser's formula for the two numbers above."""
+OVERSAMPLING = 8
+"""Points that a straight line between two samples is filtered at: what its kinks fold back is 40 dB down."""
+LARGEST_GRID = 10_000_000
+"""Samples that resampling may make, or a hundred for each given one where that is more."""
+
+TREND_KINDS = ("none", "constant", "linear")
+
+
+def sample(k: int) -> str:
+    """Sample k, counted from 1."""
+    return f"sample {k + 1}"
+
+
+def check_increasing(t: FloatArray, where: Where = sample) -> None:
+    """Refuse a time axis with a missing value, a step back or a repeated time, or fewer than two samples.
+
+    Raises:
+        InputError: names the first such place.
+    """
+    if len(t) < 2:
+        raise InputError(f"{where(0)}: a time axis needs at least two samples, found {len(t)}")
+    if np.isnan(t).any():
+        raise InputError(f"{where(int(np.isnan(t).argmax()))}: the time is missing: fill it in or cut the row")
+    back = np.diff(t) <= 0
+    if back.any():
+        k = int(back.argmax())
+        raise InputError(
+            f"{where(k + 1)}: time goes from {t[k]:.10g} to {t[k + 1]:.10g}: expected it to grow; sort or cut the rows"
+        )
+
+
+def uniform_Ts(t: FloatArray, where: Where = sample) -> float:
+    """Sampling time of a uniform time axis: the mean step, to nine digits.
+
+    Raises:
+        InputError: some step differs from the median by more than `JITTER` (the first such is named), or time
+            does not increase.
+    """
+    check_increasing(t, where)
+    steps = np.diff(t)
+    usual = float(np.median(steps))  # which a gap does not move
+    off = np.abs(steps - usual) > JITTER * usual
+    if off.any():
+        k = int(off.argmax())
+        raise InputError(
+            f"{where(k + 1)}: time is not uniform: the step is {steps[k]:.6g} s, expected {usual:.6g} s within "
+            f"{JITTER:.0%} ({int(off.sum())} of {len(steps)} steps are off): resample (--resample {usual:.6g}), "
+            "or leave the time column out and give Ts where the times are only rounded"
+        )
+    return float(f"{steps.mean():.9g}")
+
+
+def check_agreement(Ts: float, found: float, what: str) -> None:
+    """Refuse two sampling times that differ by more than `AGREEMENT`.
+
+    Raises:
+        InputError: names both.
+    """
+    if abs(found - Ts) > AGREEMENT * Ts:
+        raise InputError(f"{what}: sampling time {found:.9g} s, expected {Ts:.9g} s: leave one out, or resample")
+
+
+def check_complete(values: FloatArray, names: Sequence[str], where: Where = sample) -> None:
+    """Refuse values (K, c) with missing samples (NaN).
+
+    Raises:
+        InputError: names the first column, its first gap, how many samples are missing, and the longest gap.
+    """
+    for name, column in zip(names, values.T, strict=True):
+        missing = np.isnan(column)
+        if missing.any():
+            first, count = int(missing.argmax()), int(missing.sum())
+            raise InputError(
+                f"{where(first)}, column '{name}': {count} of {len(column)} samples are missing, the longest gap is "
+                f'{_longest_run(missing)}: repair the file, or interpolate (missing = "interpolate")'
+            )
+
+
+def _longest_run(flags: np.ndarray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def interpolate_missing(t: FloatArray, values: FloatArray, names: Sequence[str], where: Where = sample) -> FloatArray:
+    """Values (K, c) with each gap filled by the straight line in t between its neighbours.
+
+    Raises:
+        InputError: a gap at the start or the end, which has one neighbour only; a column without samples.
+    """
+    filled = np.array(values, dtype=np.float64)
+    for name, column in zip(names, filled.T, strict=True):
+        missing = np.isnan(column)
+        for end, k in (("starts", 0), ("ends", len(column) - 1)):
+            if missing[k]:
+                raise InputError(
+                    f"{where(k)}, column '{name}': the record {end} with a missing sample, which has a neighbour on "
+                    "one side only: cut the rows there"
+                )
+        if missing.any():
+            column[missing] = np.interp(t[missing], t[~missing], column[~missing])
+    return filled
+
+
+def downsample(values: FloatArray, N: int) -> FloatArray:
+    """Samples 0, N, 2N, … of values (K, c) behind a zero-phase anti-alias filter: ⌈K/N⌉ rows, no delay.
+
+    The filter is a linear-phase FIR (Kaiser window) of 2·19·N + 1 taps, centred: flat to 0.1 % up to 0.8 of the new
+    Nyquist frequency, 60 dB down above it. At the ends the record is continued by its point reflection
+    (2x(0) − x(k)), which keeps constants and straight lines exactly. Within 19 new samples of an end the result
+    leans on that, and everywhere on 19 new samples ahead: cut the record first where that matters.
+
+    Raises:
+        InputError: N is not positive, or the record is no longer than half the filter.
+    """
+    if N < 1:
+        raise InputError(f"downsample: expected a whole number from 1 on, found {N}")
+    if N == 1:
+        return values
+    half = HALF_LENGTH * N
+    K = len(values)
+    if half >= K:
+        raise InputError(
+            f"downsample {N}: the filter needs more than {half} samples, found {K}: take a longer record or a smaller N"
+        )
+    from scipy.signal import firwin, kaiser_beta, upfirdn
+
+    taps = firwin(2 * half + 1, (1 - TRANSITION / 2) / N, window=("kaiser", kaiser_beta(ATTENUATION)))
+    before = 2 * values[0] - values[half:0:-1]
+    after = 2 * values[-1] - values[-2 : -half - 2 : -1]
+    extended = np.concatenate([before, values, after])
+    # The full convolution is centred on sample 0 at index 2·half, a multiple of N.
+    start = 2 * half // N
+    return np.asarray(upfirdn(taps, extended, down=N, axis=0)[start : start + -(-K // N)])
+
+
+def resample(t: FloatArray, values: FloatArray, Ts: float) -> FloatArray:
+    """Values (K, c) at t(0), t(0) + Ts, … up to t(K−1), by straight lines between the samples.
+
+    Where the new grid is coarser than the usual step, they are put on a grid q times finer first, eight times as
+    fine as the samples, and `downsample` takes every q-th behind its anti-alias filter.
+
+    Raises:
+        InputError: Ts is not positive, makes fewer than two samples or far more than were given; time does
+            not increase.
+    """
+    check_increasing(t)
+    if not (np.isfinite(Ts) and Ts > 0):
+        raise InputError(f"resample: expected a positive sampling time in seconds, found {Ts}")
+    span = float(t[-1] - t[0])
+    usual = float(np.median(np.diff(t)))
+    if Ts > span:
+        raise InputError(f"resample: {Ts:.6g} s makes fewer than two samples of a record of {span:.6g} s")
+    q = int(np.ceil(OVERSAMPLING * Ts / usual)) if Ts > (1 + JITTER) * usual else 1
+    count = span / Ts * q
+    if count > max(LARGEST_GRID, 100 * len(t)):
+        raise InputError(
+            f"resample: {Ts:.6g} s makes {count:.0f} samples of {len(t)}: give a longer sampling time, or cut the "
+            "record at its gaps"
+        )
+    # A last sample that rounding would put just behind the end still counts.
+    grid = t[0] + np.arange(int(np.floor(count + 1e-6)) + 1) * (Ts / q)
+    fine = np.column_stack([np.interp(grid, t, column) for column in values.T])
+    return downsample(fine, q)
+
+
+@dataclass(frozen=True)
+class Trend:
+    """What was taken off the signals: offset + slope·t, t in seconds since the start of the file."""
+
+    offset: FloatArray
+    """At t = 0, (c,), physical units."""
+    slope: FloatArray
+    """Per second, (c,)."""
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """The trend (K, c) at times t (K,), to be added again."""
+        return self.offset + np.outer(t, self.slope)
+
+
+def fit_trend(parts: Sequence[tuple[FloatArray, FloatArray]], kind: str) -> Trend | None:
+    """The mean or the least-squares line of all parts (t, values (K, c)) together; None for kind "none".
+
+    It is to be fitted on training parts only, and taken off the others as it is: a line goes on beyond the part that it
+    was fitted to, in a file of its own from that file's start. A drift that does not go on like that is none to
+    take off by a line: use "constant".
+    """
+    if kind == "none":
+        return None
+    t = np.concatenate([t for t, _ in parts])
+    values = np.concatenate([values for _, values in parts])
+    mean = values.mean(axis=0)
+    if kind == "constant":
+        return Trend(mean, np.zeros_like(mean))
+    centred = t - t.mean()
+    slope = centred @ (values - mean) / (centred @ centred)
+    return Trend(mean - slope * t.mean(), slope)
+
+
+Split: TypeAlias = tuple[float, float, float]
+PartName: TypeAlias = Literal["train", "val", "test"]
+
+
+def parse_split(text: str) -> Split:
+    """ "60/20/20" (percent) or "0.6/0.2/0.2" (fractions) as fractions of train, validation and test.
+
+    Raises:
+        InputError: not three numbers that sum to 100 or 1, or an empty train part.
+    """
+    expected = "expected train/validation/test in percent or fractions, as 60/20/20"
+    parts = text.split("/")
+    if len(parts) != 3 or not all(re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*", part, re.ASCII) for part in parts):
+        raise InputError(f"split '{text}': {expected}")
+    train, val, test = (float(part) for part in parts)
+    total = train + val + test
+    whole = 100.0 if total > 1.5 else 1.0
+    if not abs(total - whole) <= 1e-6 * whole:
+        raise InputError(f"split '{text}': the parts sum to {total:g}, expected 100 (or 1 as fractions)")
+    if train == 0:
+        raise InputError(f"split '{text}': the train part is empty; {expected}")
+    return train / total, val / total, test / total
+
+
+def cut(K: int, split: Split) -> dict[PartName, slice]:
+    """The samples of each part of K, in time order; each sample is in one part."""
+    first, second = round(K * split[0]), round(K * (split[0] + split[1]))
+    return {"train": slice(0, first), "val": slice(first, second), "test": slice(second, K)}
