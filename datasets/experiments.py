@@ -23,10 +23,12 @@ from nnss_cli.datasets.preparation import (
     resample,
     uniform_Ts,
 )
-from nnss_cli.datasets.record import Channels, FloatArray, Record
+from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
 
+OWN = "own"
+"""The protocol of a described record."""
 NO_UNIT = "–"
 LARGEST_VALUE = 1e100
 """A larger sample is no measurement, and its square would overflow."""
@@ -263,3 +265,27 @@ def _check_varying(train: Sequence[_Part], r: int) -> None:
                 f"{'input' if i < r else 'output'} '{name}' is constant over the training part ({least[i]:g}): nothing "
                 "can be learnt from it; leave it out, or train where it moves"
             )
+
+
+def dataset_of(experiments: Experiments) -> Dataset:
+    """The experiments as a dataset, scaled over the training part, under the protocol `own`."""
+    scaling = Scaling.of(experiments.train)
+    fitting = FittingData(
+        experiments.name, OWN, experiments.train, experiments.val, scaling, experiments.channels,
+        experiments.init_window,
+    )  # fmt: skip
+    return Dataset(fitting, dict(experiments.tests), experiments.notes)
+
+
+def record_of_channels(path: Path, channels: Channels, Ts: float) -> Record:
+    """A file with a column for each of a model's channels, by their names; other columns are ignored.
+
+    Raises:
+        InputError: it cannot be read, a column is missing, or a value is not a finite number.
+    """
+    names = (*channels.inputs, *channels.outputs)
+    table = read_table(path, names)
+    values = np.column_stack([numbers(table, name) for name in names])
+    check_complete(values, names, lambda k: place(table, k))
+    r = len(channels.inputs)
+    return Record(values[:, :r], values[:, r:], Ts)

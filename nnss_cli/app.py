@@ -11,7 +11,7 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import ablate, certify, compare, fetch, order, report, train, tune
+from nnss_cli.commands import ablate, certify, compare, fetch, inspect, order, report, train, tune
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.version import __version__
@@ -31,6 +31,7 @@ for _name, _module, _example in (
     ("tune", tune, "nnss tune twotank --order 3 --trials 50"),
     ("ablate", ablate, "nnss ablate twotank --study stability --orders 3 --seeds 10"),
     ("certify", certify, "nnss certify results/twotank/paper/runs/nnss-n3-s0"),
+    ("inspect", inspect, "nnss inspect plant.csv --inputs u --outputs y --ts 0.1 --write plant.toml"),
     ("order", order, "nnss order twotank --max-order 8"),
     ("report", report, "nnss report --out results"),
 ):

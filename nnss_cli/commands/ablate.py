@@ -8,8 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from nnss_cli.commands import options as opt
+from nnss_cli.commands.record_options import with_record_options
 
 
+@with_record_options
 @opt.with_fit_options
 def command(
     dataset: opt.DatasetName,
@@ -24,11 +26,11 @@ def command(
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     changes: dict[str, Any] | None = None,
+    own: dict[str, Any] | None = None,
 ) -> None:
     """Change one switch of NN-SS at a time: λ, start, windows, encoder, scheduling; or what makes it stable."""
-    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.datasets.catalog import benchmark
     from nnss_cli.experiment.ablation import ablate
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
@@ -36,13 +38,14 @@ def command(
     from nnss_cli.report.tables import study_rows
 
     workers = opt.check_counts(seeds, jobs)
-    data = ready_dataset(dataset, protocol, mirror, offline)
-    store = Store(out, dataset, data.protocol)
+    ready_data = ready(dataset, protocol, mirror, offline, own or {})
+    data = ready_data.dataset
+    store = Store(out, data.name, data.protocol)
     require_writable(store.folder)
     found = ablate(
-        store, data, study, orders or benchmark(dataset).orders, range(seeds), changes or {}, workers,
+        store, data, study, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}), workers,
         lambda name, count: console.print(f"{name}: {count} runs to do", highlight=False),
         lambda _: None, lambda _: None,
     )  # fmt: skip
-    print_rows(study_rows(found), f"{dataset}, protocol {data.protocol}: {study}, RMSE, median over seeds")
+    print_rows(study_rows(found), f"{data.name}, protocol {data.protocol}: {study}, RMSE, median over seeds")
     console.print(str(write_study(store, study, found)), soft_wrap=True, highlight=False)

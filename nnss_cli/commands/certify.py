@@ -14,7 +14,7 @@ def command(
     data: Annotated[
         Path | None,
         typer.Option(
-            "--data", metavar="FILE", help="CSV with a column per input and output, instead of the run's own records."
+            "--data", metavar="FILE", help="File with a column per input and output, instead of the run's own records."
         ),
     ] = None,
     steps: Annotated[int, typer.Option("--steps", metavar="N", help="Samples of each stress run.", min=1)] = 1_000_000,
@@ -25,15 +25,17 @@ def command(
     All values are in the model's normalised units. Exit code 1 when a promised bound is broken.
     """
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.datasets.experiments import record_of_channels
     from nnss_cli.experiment.certify import certify
-    from nnss_cli.experiment.store import records_from_csv, records_of
+    from nnss_cli.experiment.store import records_of
     from nnss_cli.methods import load_model
     from nnss_cli.report.tables import certificate_rows, stress_rows
 
     loaded = load_model(model)
-    splits = (
-        records_of(model, loaded.Ts) if data is None else {"data": records_from_csv(data, loaded.channels, loaded.Ts)}
-    )
+    if data is None:
+        splits = records_of(model, loaded.Ts)
+    else:
+        splits = {"data": (record_of_channels(data, loaded.channels, loaded.Ts),)}
     found = certify(loaded, splits, steps)
     if as_json:
         typer.echo(json.dumps(found.to_json(), indent=2, ensure_ascii=False))

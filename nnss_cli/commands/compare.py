@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from nnss_cli.commands import options as opt
+from nnss_cli.commands.record_options import with_record_options
 
 
+@with_record_options
 @opt.with_fit_options
 def command(
     dataset: opt.DatasetName,
@@ -21,14 +23,14 @@ def command(
     offline: opt.Offline = False,
     force: opt.Force = False,
     changes: dict[str, Any] | None = None,
+    own: dict[str, Any] | None = None,
 ) -> None:
     """Run methods × orders × seeds, keep every run, and write the table and the figures.
 
     Finished runs are not repeated: after an interruption the same command goes on.
     """
-    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import RunProgress, console, print_rows
-    from nnss_cli.datasets.catalog import benchmark
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import plan, sweep
     from nnss_cli.files import require_writable
@@ -38,14 +40,16 @@ def command(
 
     workers = opt.check_counts(seeds, jobs)
     chosen = select(methods or [])
-    entry = benchmark(dataset)
-    data = ready_dataset(dataset, protocol, mirror, offline)
-    store = Store(out, dataset, data.protocol)
-    todo = plan(store, data, chosen, orders or entry.orders, range(seeds), changes or {}, force)
+    ready_data = ready(dataset, protocol, mirror, offline, own or {})
+    data = ready_data.dataset
+    store = Store(out, data.name, data.protocol)
+    todo = plan(
+        store, data, chosen, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}), force
+    )
     require_writable(store.folder)
     engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(
-        f"{dataset}, protocol {data.protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
+        f"{data.name}, protocol {data.protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
         + (f" (NN-SS engine: {', '.join(engines)})" if engines else ""),
         highlight=False,
     )

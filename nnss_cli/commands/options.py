@@ -29,7 +29,13 @@ def _method_names(incomplete: str) -> list[str]:
 
 
 DatasetName = Annotated[
-    str, typer.Argument(help="Dataset; `nnss fetch --list` shows them.", autocompletion=_dataset_names)
+    list[str],
+    typer.Argument(
+        metavar="DATASET|FILE...",
+        help="A benchmark (`nnss fetch --list`), a description (.toml), or a file for each experiment.",
+        autocompletion=_dataset_names,
+        show_default=False,
+    ),
 ]
 DatasetNames = Annotated[
     list[str] | None, typer.Argument(metavar="[DATASET]...", help="Datasets to fetch.", autocompletion=_dataset_names)
@@ -88,6 +94,8 @@ def _baseline(kind: Any, name: str, metavar: str | None, help_text: str) -> Any:
     return _fit_option(kind | None, _BASELINES, name, metavar, help_text)
 
 
+Horizon = _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched.")
+
 # Setting of a method → the option that changes it. A method takes those that it has.
 FIT_OPTIONS: dict[str, Any] = {
     "recipe": _training(str, "--recipe", "paper|best", "Of method nnss: as in the paper, or trained well (default)."),
@@ -115,7 +123,7 @@ FIT_OPTIONS: dict[str, Any] = {
     ),
     "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),
-    "horizon": _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched."),
+    "horizon": Horizon,
     "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),
     "start": _baseline(str, "--simba-start", "n4sid|random", "SIMBa: where it starts (default n4sid)."),
     "feedthrough": _baseline(bool, "--feedthrough", None, "SSEST: estimate D as well."),

@@ -8,8 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from nnss_cli.commands import options as opt
+from nnss_cli.commands.record_options import with_record_options
 
 
+@with_record_options
 @opt.with_fit_options
 def command(
     dataset: opt.DatasetName,
@@ -22,9 +24,10 @@ def command(
     offline: opt.Offline = False,
     force: opt.Force = False,
     changes: dict[str, Any] | None = None,
+    own: dict[str, Any] | None = None,
 ) -> None:
     """Train one model, keep it under results/ and print its errors."""
-    from nnss_cli.commands.data import ready_dataset
+    from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import RunProgress, console, print_rows
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.store import Store
@@ -34,9 +37,10 @@ def command(
     from nnss_cli.report.tables import score_rows
 
     methods = select([method])
-    data = ready_dataset(dataset, protocol, mirror, offline)
-    store = Store(out, dataset, data.protocol)
-    todo = plan(store, data, methods, [order], [seed], changes or {}, force)
+    ready_data = ready(dataset, protocol, mirror, offline, own or {})
+    data = ready_data.dataset
+    store = Store(out, data.name, data.protocol)
+    todo = plan(store, data, methods, [order], [seed], ready_data.settings | (changes or {}), force)
     require_writable(store.folder)
     with RunProgress(todo.todo) as progress:
         sweep(todo.todo, data, store, 1, progress.on_event, progress.on_result)
@@ -52,6 +56,6 @@ def command(
         console.print(f"Note: {note}", soft_wrap=True, highlight=False)
     print_rows(
         score_rows(result),
-        f"{dataset}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
+        f"{data.name}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
     )
     console.print(f"Model: {store.run_folder(result.spec)}", soft_wrap=True, highlight=False)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nnss_cli.baselines.n4sid import n4sid_auto
 from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import simulation_rms
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError
+from nnss_cli.methods import subspace_model
 
 MARGIN = 1.05  # an order is good enough when its validation error is within 5 % of the lowest
 
@@ -23,13 +23,18 @@ class OrderRow:
     hankel: float
     """n-th Hankel singular value of a regularised high-order model, relative to the first."""
     train: float | None
-    """Training error of N4SID (horizons searched): RMS over samples and outputs, normalised units."""
+    """Training error of N4SID: RMS over samples and outputs, normalised units."""
     val: float | None
     """Validation error, likewise; None where the data are too short for the order."""
 
 
-def order_table(data: FittingData, largest: int) -> list[OrderRow]:
-    """Hankel singular values and errors for the orders 1 … `largest`.
+def order_table(data: FittingData, largest: int, horizon: str) -> list[OrderRow]:
+    """Hankel singular values and errors for the orders 1 … `largest`, of the same N4SID that is compared.
+
+    Args:
+        data: train and validation records.
+        largest: order at most.
+        horizon: how N4SID's horizons are chosen, as `nnss_cli.methods.chosen_horizon` says.
 
     Raises:
         InputError: the records are too short for any model.
@@ -40,7 +45,7 @@ def order_table(data: FittingData, largest: int) -> list[OrderRow]:
     rows = []
     for order in range(1, min(largest, len(sigma)) + 1):
         try:
-            model, _ = n4sid_auto(train, val, order)
+            model = subspace_model(data, order, horizon)
             errors: tuple[float | None, float | None] = simulation_rms(model, train), simulation_rms(model, val)
         except InputError:
             errors = None, None

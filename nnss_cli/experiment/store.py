@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from nnss_cli.datasets.record import Channels, Record
+from nnss_cli.datasets.record import Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.files import write_text
@@ -115,27 +113,6 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
         split: tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
         for split, count in counts.items()
     }
-
-
-def records_from_csv(path: Path, channels: Channels, Ts: float) -> tuple[Record, ...]:
-    """A record from a CSV file with a named column for each input and output; other columns are ignored.
-
-    Raises:
-        InputError: it cannot be read, a column is missing, or a value is not a finite number.
-    """
-    try:
-        table = pd.read_csv(path)
-        missing = [name for name in (*channels.inputs, *channels.outputs) if name not in table.columns]
-        if missing:
-            raise InputError(
-                f"'{path}': expected columns {', '.join((*channels.inputs, *channels.outputs))}, found "
-                f"{', '.join(map(str, table.columns))}; {', '.join(missing)} missing"
-            )
-        return (Record(table[list(channels.inputs)].to_numpy(), table[list(channels.outputs)].to_numpy(), Ts),)
-    except InputError:
-        raise
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"'{path}' cannot be read as a CSV of numbers: {error}") from error
 
 
 def _value(settings: dict[str, Any], name: str) -> Any:

@@ -33,11 +33,21 @@ def percent(share: float | None, digits: int = 3) -> str:
 
 
 def channel_rows(found: Inspection) -> list[dict[str, str]]:
-    """One row a column of the record."""
+    """One row a column of the record: its range."""
     return [
         {
             "channel": c.name, "role": c.role, "unit": c.unit, "kind": c.kind, "missing": str(c.missing),
             "min": number(c.minimum), "max": number(c.maximum), "mean": number(c.mean), "σ": number(c.sigma),
+        }
+        for c in found.channels
+    ]  # fmt: skip
+
+
+def grid_rows(found: Inspection) -> list[dict[str, str]]:
+    """One row a column: its grid, where it stops, spikes and drift."""
+    return [
+        {
+            "channel": c.name,
             "levels": str(c.levels), "step": number(c.step) if c.bits is not None else "–", "bits": number(c.bits, 3),
             "at min": percent(c.at_minimum, 2), "at max": percent(c.at_maximum, 2),
             "spikes": "–" if c.spikes is None else str(c.spikes),

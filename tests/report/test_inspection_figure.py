@@ -94,7 +94,8 @@ def test_equal_records_give_equal_files(tmp_path: Path) -> None:
 
 def all_rows(found: Inspection) -> list[dict[str, str]]:
     tables = (
-        report.record_rows, report.channel_rows, report.input_rows, report.response_rows, report.output_rows,
+        report.record_rows, report.channel_rows, report.grid_rows,
+        report.input_rows, report.response_rows, report.output_rows,
         report.order_rows,
     )  # fmt: skip
     return [row for table in tables for row in table(found)]
