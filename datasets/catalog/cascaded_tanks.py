@@ -30,7 +30,8 @@ def load(path: Path | None, protocol: str) -> Dataset:
     assert path is not None
     arrays = read(path)
     check_contents(path, arrays, CONTENTS)
-    return split(*arrays.values(), protocol)
+    u_est, y_est, u_val, y_val = arrays.values()
+    return split(u_est, y_est, u_val, y_val, protocol)
 
 
 def read(path: Path) -> dict[str, FloatArray]:

@@ -31,7 +31,8 @@ def load(path: Path | None, protocol: str) -> Dataset:
     assert path is not None
     arrays = read(path)
     check_contents(path, arrays, CONTENTS)
-    return split(*arrays.values(), protocol)
+    u_low, y_low, u_high, y_high = arrays.values()
+    return split(u_low, y_low, u_high, y_high, protocol)
 
 
 def read(path: Path) -> dict[str, FloatArray]:

@@ -37,7 +37,8 @@ def load(path: Path | None, protocol: str) -> Dataset:
     assert path is not None
     arrays = read(path)
     check_contents(path, arrays, CONTENTS)
-    return split(*arrays.values(), protocol)
+    force, position, test_force, test_position = arrays.values()
+    return split(force, position, test_force, test_position, protocol)
 
 
 def read(path: Path) -> dict[str, FloatArray]:

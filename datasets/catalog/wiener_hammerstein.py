@@ -29,7 +29,8 @@ def load(path: Path | None, protocol: str) -> Dataset:
     assert path is not None
     arrays = read(path)
     check_contents(path, arrays, CONTENTS)
-    return split(*arrays.values(), protocol)
+    u, y = arrays.values()
+    return split(u, y, protocol)
 
 
 def read(path: Path) -> dict[str, FloatArray]:
