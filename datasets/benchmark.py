@@ -21,14 +21,18 @@ class Source:
     """One place that a file can be had from."""
 
     url: str
-    """http, https or ftp address; its last part is the name that a mirror keeps the file under."""
+    """http, https or ftp address of a file or of a zip with it; of a folder where there are `parts`."""
     sha256: str | None = None
     """Hash of the bytes, where they are known; the contents are checked in any case."""
+    name: str = ""
+    """Name that a mirror keeps the file under, where it is not the address's last part."""
+    parts: tuple[Source, ...] = ()
+    """The files that make up the record together, where they do not come in one."""
 
     @property
     def filename(self) -> str:
         """Name of the file at the source."""
-        return self.url.rsplit("/", 1)[-1]
+        return self.name or self.url.rsplit("/", 1)[-1]
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Benchmark:
     sources: tuple[Source, ...]
     """Places to fetch from, tried in turn; none for an embedded simulation."""
     cached_as: str
-    """File name in the cache ("" for an embedded simulation)."""
+    """File name in the cache ("" for an embedded simulation); a zip where the record is several files."""
     load: Callable[[Path | None, str], Dataset]
     """Read the file (None for an embedded simulation), check its contents, split it by a protocol.
     Raises InputError when the file is not what it should be."""
@@ -54,6 +58,14 @@ class Benchmark:
     """Ways to split and scale it, the usual one first; `paper` where there is a paper to repeat."""
     presets: Presets = field(default_factory=dict)
     """Settings of recipes for this benchmark: recipe → order → what differs from the recipe's own."""
+    files: tuple[tuple[str, ...], ...] = ()
+    """What is taken from a zip or a folder: for each file of the record the names that it may go by, the usual one
+    first; empty for one file under the name that it has at a source."""
+
+    @property
+    def wanted(self) -> tuple[tuple[str, ...], ...]:
+        """`files`, or what they follow from."""
+        return self.files or ((*(source.filename for source in self.sources), self.cached_as),)
 
     def check_protocol(self, name: str) -> str:
         """The protocol of that name; the first where it is "".
@@ -95,9 +107,17 @@ def read_matlab(path: Path, variable_sets: tuple[tuple[str, ...], ...]) -> dict[
     Raises:
         InputError: not a MATLAB file, or none of the sets is in it.
     """
+    return parse_matlab(path, read_bytes(path), variable_sets)
+
+
+def parse_matlab(path: Path, content: bytes, variable_sets: tuple[tuple[str, ...], ...]) -> dict[str, FloatArray]:
+    """`read_matlab` of bytes that are here already; `path` is for the message.
+
+    Raises:
+        InputError: not a MATLAB file, or none of the sets is in it.
+    """
     import scipy.io
 
-    content = read_bytes(path)
     try:
         variables = scipy.io.loadmat(io.BytesIO(content), chars_as_strings=False)
     except Exception as error:  # scipy raises whatever the damaged bytes lead it to

@@ -2,7 +2,8 @@
 
 A file enters the cache only after its benchmark has read it and found the expected contents,
 so whatever is in the cache under its name was whole when it came. Its hash is kept beside it
-and compared at every use.
+and compared at every use. A source may be a zip or a folder: what is wanted is taken out by name,
+and a record of several files is kept as one zip.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from nnss_cli.datasets.archive import holds_files, pack, take
 from nnss_cli.datasets.benchmark import Benchmark, Source, read_bytes
 
 from nnss_cli.errors import DataUnavailable, InputError
@@ -78,7 +80,7 @@ def fetch(
     """
     if is_cached(benchmark) and not force:
         path = cached_file(benchmark)
-        benchmark.load(path, "paper")
+        benchmark.load(path, benchmark.protocols[0])
         return path
     failures = []
     for source in _places(benchmark, mirror or os.environ.get("NNSS_MIRROR")):
@@ -86,7 +88,7 @@ def fetch(
             continue
         try:
             with tempfile.TemporaryDirectory(prefix="nnss-") as folder:
-                return install(benchmark, _retrieve(source, Path(folder), progress))
+                return install(benchmark, retrieve(source, Path(folder), progress))
         except (OSError, ValueError, EOFError) as error:  # requests' errors are OSErrors
             failures.append(f"{_host(source)}: {_one_line(error)}")
     if offline:
@@ -98,15 +100,24 @@ def fetch(
 
 
 def install(benchmark: Benchmark, file: Path) -> Path:
-    """Put a file that is already here into the cache, once its contents have been checked.
+    """Put what is already here into the cache, once its contents have been checked.
+
+    Args:
+        benchmark: whose file it is.
+        file: the file itself, or a zip or a folder that has it under its name.
 
     Raises:
         InputError: the file is not the benchmark's.
     """
     if not benchmark.sources:
         raise InputError(f"dataset '{benchmark.name}' is simulated: it needs no file")
-    content = read_bytes(file)
-    benchmark.load(file, "paper")
+    with tempfile.TemporaryDirectory(prefix="nnss-") as folder:
+        single = _single_file(benchmark, file, Path(folder))
+        content = read_bytes(single)
+        try:
+            benchmark.load(single, benchmark.protocols[0])
+        except InputError as error:  # about the file that was given, not the one taken from it
+            raise InputError(str(error).replace(str(single), str(file))) from error
     target = cache_folder() / benchmark.cached_as
     try:
         # The hash goes first: a crash in between leaves a mismatch that is reported, not a silent one.
@@ -120,18 +131,20 @@ def install(benchmark: Benchmark, file: Path) -> Path:
     return target
 
 
-def _places(benchmark: Benchmark, mirror: str | None) -> list[Source]:
-    original = list(benchmark.sources)
-    if not mirror:
-        return original
-    names = [source.filename for source in original] + [benchmark.cached_as]
-    base = mirror.rstrip("/") if "://" in mirror else str(Path(mirror).expanduser().resolve())
-    return [Source(f"{base}/{name}") for name in dict.fromkeys(names)] + original
+def retrieve(source: Source, folder: Path, progress: Callable[[str], object] | None = None) -> Path:
+    """Download a source's file into `folder`, or each of its parts, and return the path of the file or the folder.
 
+    A source that is a path is returned as it is.
 
-def _retrieve(source: Source, folder: Path, progress: Callable[[str], object] | None) -> Path:
+    Raises:
+        OSError, ValueError: it cannot be had, or its hash is another.
+    """
     if "://" not in source.url:
         return Path(source.url)
+    if source.parts:
+        for part in source.parts:
+            retrieve(part, folder, progress)
+        return folder
     import logging
 
     import pooch
@@ -145,6 +158,38 @@ def _retrieve(source: Source, folder: Path, progress: Callable[[str], object] | 
         downloader.timeout = TIMEOUT
     known = f"sha256:{source.sha256}" if source.sha256 else None
     return Path(pooch.retrieve(source.url, known, fname=source.filename, path=folder, downloader=downloader))
+
+
+def _single_file(benchmark: Benchmark, given: Path, folder: Path) -> Path:
+    """`given`, or one file made in `folder` of what a zip or a folder holds: the loader's form of the record."""
+    wanted = benchmark.wanted
+    if not holds_files(given):
+        if len(wanted) > 1 and given.is_file():
+            names = " and ".join(names[0] for names in wanted)
+            raise InputError(f"'{given}': expected a folder or a zip with {names}, found a single file")
+        return given
+    contents = take(given, wanted)
+    single = folder / benchmark.cached_as
+    if len(wanted) == 1:
+        single.write_bytes(contents[0])
+    else:
+        single.write_bytes(pack({names[0]: content for names, content in zip(wanted, contents, strict=True)}))
+    return single
+
+
+def _places(benchmark: Benchmark, mirror: str | None) -> list[Source]:
+    original = list(benchmark.sources)
+    if not mirror:
+        return original
+    base = mirror.rstrip("/") if "://" in mirror else str(Path(mirror).expanduser().resolve())
+    names = [source.filename for source in original if not source.parts]
+    places = []
+    if len(benchmark.wanted) == 1:
+        names += benchmark.wanted[0]
+    else:
+        places.append(Source(base, parts=tuple(Source(f"{base}/{names[0]}") for names in benchmark.wanted)))
+    names.append(benchmark.cached_as)
+    return [*places, *(Source(f"{base}/{name}") for name in dict.fromkeys(names)), *original]
 
 
 def _host(source: Source) -> str:

@@ -17,7 +17,9 @@ def command(
     show: Annotated[bool, typer.Option("--list", help="List the datasets and whether they are here.")] = False,
     file: Annotated[
         Path | None,
-        typer.Option("--from", metavar="FILE", help="Take a file that you have instead of fetching one."),
+        typer.Option(
+            "--from", metavar="FILE", help="Take a file, zip or folder that you have instead of fetching one."
+        ),
     ] = None,
     mirror: Mirror = None,
     offline: Offline = False,
@@ -34,7 +36,7 @@ def command(
                 "dataset": entry.name,
                 "what": entry.title,
                 "here": "built in" if not entry.sources else "yes" if is_cached(entry) else "no",
-                "paper's orders": " ".join(map(str, entry.orders)),
+                "orders": " ".join(map(str, entry.orders)),
             }
             for entry in BENCHMARKS.values()
         ]

@@ -1,13 +1,13 @@
 """Only the published samples pass, in whatever form, from wherever: the real files and made-up ones."""
 
-import functools
 import gzip
 import hashlib
+import io
 import struct
-import threading
+import zipfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import ModuleType
 
@@ -18,7 +18,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays as array_strategy
 from nnss_cli.datasets.benchmark import Samples, Source, check_contents, samples_hash
-from nnss_cli.datasets.catalog import load, powerplant, robotarm, twotank
+from nnss_cli.datasets.catalog import (
+    cascaded_tanks,
+    ced,
+    emps,
+    load,
+    powerplant,
+    robotarm,
+    silverbox,
+    twotank,
+    wiener_hammerstein,
+)
 from nnss_cli.datasets.download import fetch, install
 from nnss_cli.datasets.record import FloatArray
 
@@ -27,6 +37,13 @@ from nnss_cli.errors import DataUnavailable, InputError
 Arrays = dict[str, FloatArray]
 
 REAL = {twotank: "TwoTanksMatlab.mat", robotarm: "RobotArm.mat", powerplant: "powerplant.dat"}
+OFFICIAL = {
+    cascaded_tanks: "dataBenchmark.mat",
+    ced: "DATAUNIF.MAT",
+    emps: "",
+    silverbox: "SNLS80mV.csv",
+    wiener_hammerstein: "WienerHammerBenchMark.mat",
+}
 
 
 def write_matlab(path: Path, arrays: Arrays) -> None:
@@ -41,6 +58,30 @@ def write_table(separator: str, pack: bool) -> Callable[[Path, Arrays], None]:
         path.write_bytes(gzip.compress(text.encode()) if pack else text.encode())
 
     return write
+
+
+def write_rows(path: Path, arrays: Arrays) -> None:
+    """MATLAB's row vectors."""
+    scipy.io.savemat(path, {name: values.T for name, values in arrays.items()})
+
+
+def write_two_columns(path: Path, arrays: Arrays) -> None:
+    """A header, a comma at the end of every line and an empty one at the end."""
+    lines = ['"V1","V2",', *(f"{u!r},{y!r}," for u, y in np.column_stack(list(arrays.values())).tolist()), "", ""]
+    path.write_text("\n".join(lines))
+
+
+def write_two_files(path: Path, arrays: Arrays) -> None:
+    """Arrays named "vir of x.mat" in files of a zip."""
+    files: dict[str, Arrays] = {}
+    for name, values in arrays.items():
+        variable, _, file = name.partition(" of ")
+        files.setdefault(file, {})[variable] = values
+    with zipfile.ZipFile(path, "w") as target:
+        for file, variables in files.items():
+            content = io.BytesIO()
+            scipy.io.savemat(content, variables)
+            target.writestr(f"EMPS/{file}", content.getvalue())
 
 
 @dataclass(frozen=True)
@@ -62,8 +103,20 @@ FORMS = {
     "powerplant.dat": Form(powerplant, (powerplant.INPUTS, powerplant.OUTPUTS), write_table("\t  ", False)),
     "powerplant.csv": Form(powerplant, (powerplant.INPUTS, powerplant.OUTPUTS), write_table(",", False)),
     "powerplant.dat.gz": Form(powerplant, (powerplant.INPUTS, powerplant.OUTPUTS), write_table(" ", True)),
+    "dataBenchmark.mat": Form(cascaded_tanks, tuple(cascaded_tanks.CONTENTS), write_matlab),
+    "DATAUNIF.MAT": Form(ced, tuple(ced.CONTENTS), write_matlab),
+    "EMPS.zip": Form(emps, tuple(emps.CONTENTS), write_two_files),
+    "SNLS80mV.csv": Form(silverbox, ("V1", "V2"), write_two_columns),
+    "SNLS80mV.mat": Form(silverbox, ("V1", "V2"), write_rows),
+    "WienerHammerBenchMark.mat": Form(wiener_hammerstein, tuple(wiener_hammerstein.CONTENTS), write_matlab),
 }
-VERIFIED = [(form, name) for form in FORMS for name in FORMS[form].names if name not in ("uv3", "yv3")]
+VERIFIED = [
+    (form, name)
+    for form in FORMS
+    if form != "SNLS80mV.csv"  # a second each: it has a test of its own
+    for name in FORMS[form].names
+    if name not in ("uv3", "yv3")
+]
 
 
 def zeroed(a: FloatArray) -> FloatArray:
@@ -120,7 +173,7 @@ def test_every_form_of_the_published_samples_is_accepted(
     FORMS[form].write(path, made_up(form, monkeypatch))
     benchmark = FORMS[form].module.BENCHMARK
     assert install(benchmark, path).parent == own_cache
-    assert load(benchmark.name, "strict").tests["test"]
+    assert load(benchmark.name, benchmark.protocols[-1]).tests
 
 
 @pytest.mark.parametrize("tamper", TAMPERED)
@@ -144,29 +197,24 @@ def test_a_change_in_any_array_is_refused_and_named_wherever_the_file_comes_from
     assert not own_cache.exists()
 
 
-class QuietHandler(SimpleHTTPRequestHandler):
-    def log_message(self, *_: object) -> None:
-        pass
-
-
-@pytest.mark.parametrize("form", ["twotankdata.mat", "RobotArm.mat", "powerplant.dat.gz"])
+@pytest.mark.parametrize("form", ["twotankdata.mat", "RobotArm.mat", "powerplant.dat.gz", "EMPS.zip"])
 def test_an_original_source_and_the_cache_are_trusted_no_more_than_a_mirror(
-    form: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, own_cache: Path
+    form: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    own_cache: Path,
+    serve: Callable[[Path], AbstractContextManager[str]],
 ) -> None:
     module = FORMS[form].module
     arrays = made_up(form, monkeypatch)
     good, bad = tmp_path / "good", tmp_path / "bad"
     FORMS[form].write(good, arrays)
     FORMS[form].write(bad, {name: one_bit(a) for name, a in arrays.items()})
-    handler = functools.partial(QuietHandler, directory=str(tmp_path))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-        base = f"http://127.0.0.1:{server.server_port}"
+    with serve(tmp_path) as base:
         with pytest.raises(DataUnavailable, match="is not the expected record"):
             fetch(replace(module.BENCHMARK, sources=(Source(f"{base}/bad"),)))
         assert not own_cache.exists()
         path = fetch(replace(module.BENCHMARK, sources=(Source(f"{base}/bad"), Source(f"{base}/good"))))
-        server.shutdown()
     load(module.BENCHMARK.name)
     # an entry written past nnss, its hash file with it
     content = bad.read_bytes()
@@ -192,10 +240,11 @@ def test_another_shape_is_refused_and_named(form: str, monkeypatch: pytest.Monke
     arrays = made_up(form, monkeypatch)
     path = tmp_path / "x.mat"
     for name, whole in arrays.items():
-        for other in (whole[:-1], whole.T, np.column_stack([whole, whole]), whole[:0]):
+        across = () if form == "SNLS80mV.mat" else (whole.T,)  # a row or a column, as MATLAB has it
+        for other in (whole[:-1], *across, np.column_stack([whole, whole]), whole[:0]):
             write_matlab(path, arrays | {name: other})
-            with pytest.raises(InputError, match=rf"'.*x.mat': expected {name} of shape .*, found \({other.shape[0]}"):
-                FORMS[form].module.load(path, "paper")
+            with pytest.raises(InputError, match=rf"'.*x.mat': expected {name} of shape .*, found \("):
+                FORMS[form].module.load(path, "")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -302,6 +351,49 @@ def test_a_tampered_real_file_stays_out(
     with pytest.raises(DataUnavailable, match="is not the expected record"):
         fetch(module.BENCHMARK, mirror=str(tmp_path), offline=True)
     assert not own_cache.exists()
+
+
+@pytest.mark.parametrize("module", OFFICIAL)
+def test_the_official_references_are_the_real_files_hashes(module: ModuleType, official: Callable[[str], Path]) -> None:
+    """By struct and hashlib, and by readers of their own."""
+    folder = official(module.BENCHMARK.name)
+    if module is silverbox:
+        rows = [line.split(",") for line in (folder / OFFICIAL[module]).read_text().split()[1:]]
+        raw = {"V1": [[float(row[0])] for row in rows], "V2": [[float(row[1])] for row in rows]}
+    elif module is emps:
+        raw = {
+            f"{n} of {file}": a.tolist() for file in emps.FILES for n, a in scipy.io.loadmat(folder / file).items()
+            if isinstance(a, np.ndarray)
+        }  # fmt: skip
+    else:
+        raw = {n: a.tolist() for n, a in scipy.io.loadmat(folder / OFFICIAL[module]).items() if not n.startswith("__")}
+    for name, samples in module.CONTENTS.items():
+        assert (len(raw[name]), len(raw[name][0])) == samples.shape
+        assert samples.sha256 == plain_hash(raw[name]), name
+
+
+def test_a_change_of_the_last_digit_in_the_silverboxs_table_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    arrays = made_up("SNLS80mV.csv", monkeypatch)
+    path = tmp_path / "SNLS80mV.csv"
+    write_two_columns(path, arrays)
+    lines = path.read_text().split("\n")
+    u, y, _ = lines[50_000].split(",")
+    lines[50_000] = f"{u},{y[:-1]}{(int(y[-1]) + 5) % 10},"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"is not the expected record: V2 differs \(") as caught:
+        silverbox.load(path, "official")
+    assert str(caught.value).count("differs") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"V1;V2\n1;2\n", b'"V1","V2",\n0.1,0.2,\n0.1,x,\n', b'"V1","V2",\n0.1\n'])
+def test_a_table_that_is_not_the_silverboxs_is_one_line(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "SNLS80mV.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"SNLS80mV.csv'.*(: expected MATLAB|line [23]: expected V1, V2, found)") as e:
+        silverbox.load(path, "official")
+    assert "\n" not in str(e.value)
 
 
 # The hash
