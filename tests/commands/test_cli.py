@@ -86,11 +86,12 @@ def test_shell_completion() -> None:
     assert "complete" in done.stdout
 
 
-def test_fetch_list_all_and_from(nnss: Callable, mirror: Path) -> None:
+def test_fetch_list_several_and_from(nnss: Callable, mirror: Path) -> None:
     listed = nnss("fetch", "--list").out
-    for name in ("twotank", "robotarm", "daisy-powerplant", "twotank-sim"):
+    names = ("twotank", "robotarm", "daisy-powerplant", "twotank-sim")
+    for name in names:
         assert name in listed
-    assert nnss("fetch", "--all", "--mirror", mirror, "--offline").code == 0
+    assert nnss("fetch", *names, "--mirror", mirror, "--offline").code == 0
     assert nnss("fetch", "daisy-powerplant", "--offline").code == 0
     outcome = nnss("fetch", "twotank", "--from", mirror / "TwoTanksMatlab.mat")
     assert outcome.code == 0
