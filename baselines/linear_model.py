@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from nnss_cli.baselines.statespace import LinearStateSpace
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation, first_outputs
 
 from nnss_cli.modelfile import Tensors, write_model
 
@@ -44,9 +43,13 @@ class LinearModel:
         Args:
             u: inputs (K, r), physical units.
             y_init: first output samples (w, m), or (m,) for one, physical units.
+
+        Raises:
+            InputError: there is no such sample, or there are more than inputs.
         """
         u_scaled = self.scaling.normalise_u(u)
-        x0 = self.system.state_from_outputs(self.scaling.normalise_y(np.atleast_2d(y_init)), u_scaled)
+        known = first_outputs(y_init, u, len(self.system.C))
+        x0 = self.system.state_from_outputs(self.scaling.normalise_y(known), u_scaled)
         y, x = self.system.simulate(u_scaled, x0)
         return Simulation(self.scaling.restore_y(y), x)
 

@@ -78,11 +78,19 @@ def n4sid_candidates(records: tuple[Record, ...], order: int) -> list[tuple[Hori
     return found
 
 
-def n4sid_auto(train: tuple[Record, ...], val: tuple[Record, ...], order: int) -> tuple[LinearStateSpace, Horizon]:
+def n4sid_auto(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, init_window: int = 1
+) -> tuple[LinearStateSpace, Horizon]:
     """The candidate with the lowest validation error of a free simulation, and its horizon.
+
+    Args:
+        train: experiments, in normalised units.
+        val: validation experiments.
+        order: number of states n.
+        init_window: first samples of a validation experiment that tell x(0); see `scored_residuals`.
 
     Raises:
         InputError: no horizon fits the data.
     """
-    horizon, model = min(n4sid_candidates(train, order), key=lambda pair: simulation_rms(pair[1], val))
+    horizon, model = min(n4sid_candidates(train, order), key=lambda pair: simulation_rms(pair[1], val, init_window))
     return model, horizon

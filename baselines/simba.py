@@ -160,6 +160,7 @@ def train_simba(
     options: SimbaOptions,
     start: LinearStateSpace | None,
     on_epoch: EpochCallback | None = None,
+    init_window: int = 1,
 ) -> SimbaFit:
     """Train from `start` (or at random where it is None) with Adam, and keep the best validation epoch.
 
@@ -171,6 +172,7 @@ def train_simba(
         options: how.
         start: the model to start from.
         on_epoch: called after each epoch.
+        init_window: first samples of a validation experiment that tell x(0); see `scored_residuals`.
 
     Raises:
         InputError: a training record is shorter than the window.
@@ -208,7 +210,7 @@ def train_simba(
             diverged = f"the loss became {total} in epoch {epoch}"
             break
         system = _system(parameters, options.gamma, train[0].Ts)
-        error = simulation_rms(system, val)
+        error = simulation_rms(system, val, init_window)
         history["train_loss"].append(total / batches)
         history["val_rmse"].append(error)
         if stopping.is_best(error, epoch_waits):

@@ -263,7 +263,7 @@ def _scored_basis(point: _Point, Ts: float) -> LinearStateSpace:
 
 
 def ssest(
-    train: tuple[Record, ...], val: tuple[Record, ...], order: int, feedthrough: bool = False
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, feedthrough: bool = False, init_window: int = 1
 ) -> LinearStateSpace:
     """Refine several subspace models to convergence and choose one on validation.
 
@@ -277,6 +277,7 @@ def ssest(
         val: validation experiments.
         order: number of states n.
         feedthrough: estimate D as well.
+        init_window: first samples of a validation experiment that tell x(0); see `scored_residuals`.
 
     Raises:
         InputError: the records are too short for the order.
@@ -294,7 +295,7 @@ def ssest(
         values = [criterion_value(model, train, criterion) for model in optima]
         bar = values[0] + TOLERANCE * (abs(values[0]) if criterion == "trace" else 1.0)
         eligible += [model for model, value in zip(optima, values, strict=True) if value <= bar]
-    return min(eligible, key=lambda model: simulation_rms(model, val))
+    return min(eligible, key=lambda model: simulation_rms(model, val, init_window))
 
 
 def criterion_value(model: LinearStateSpace, records: tuple[Record, ...], criterion: Criterion) -> float:

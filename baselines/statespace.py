@@ -102,14 +102,19 @@ class LinearStateSpace:
         return np.linalg.pinv(self.C) @ (y0 - self.D @ u0)
 
     def state_from_outputs(self, y: FloatArray, u: FloatArray) -> FloatArray:
-        """The smallest x0 (n,) that explains outputs y (w, m) under inputs u (≥ w, r) best in least squares."""
-        if len(y) == 1:
-            return self.state_from_output(y[0], u[0])
+        """The smallest x0 (n,) that explains outputs y (w, m) under inputs u (≥ w, r) best in least squares.
+
+        The first sample alone tells it for w = 1, and where an unstable response overflows within the window.
+        """
         w = len(y)
-        free = propagate(self.A, np.zeros((self.order, w, self.order)), np.eye(self.order))[:, :-1]
-        forced, _ = self.simulate(u[:w], np.zeros(self.order))
-        regressor = (free @ self.C.T).reshape(self.order, -1).T
-        return np.asarray(np.linalg.lstsq(regressor, (y - forced).ravel(), rcond=None)[0])
+        if w > 1:
+            free = propagate(self.A, np.zeros((self.order, w, self.order)), np.eye(self.order))[:, :-1]
+            forced, _ = self.simulate(u[:w], np.zeros(self.order))
+            with np.errstate(over="ignore", invalid="ignore"):
+                regressor = (free @ self.C.T).reshape(self.order, -1).T
+            if np.isfinite(regressor).all() and np.isfinite(forced).all():
+                return np.asarray(np.linalg.lstsq(regressor, (y - forced).ravel(), rcond=None)[0])
+        return self.state_from_output(y[0], u[0])
 
     def markov(self, count: int) -> FloatArray:
         """D, CB, CAB, … (count, m, r): the same in every basis."""
@@ -201,18 +206,30 @@ def balancing(P: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray, Flo
     return (scale[:, None] * U.T) @ L.T, R @ Vt.T * scale, sigma
 
 
-def scored_residuals(model: LinearStateSpace, records: tuple[Record, ...]) -> FloatArray:
-    """y − ŷ of free simulations from C⁺(y0 − D u0), all records one after the other (ΣK, m)."""
+def scored_residuals(model: LinearStateSpace, records: tuple[Record, ...], init_window: int = 1) -> FloatArray:
+    """y − ŷ of free simulations, all records one after the other.
+
+    Args:
+        model: in the units of the records.
+        records: experiments.
+        init_window: w, the first samples that tell x(0): C⁺(y0 − D u0) for w = 1, else least squares.
+
+    Returns:
+        (ΣK, m); for w > 1 without the windows' samples, (Σ(K − w), m).
+    """
+    w = init_window
     return np.concatenate(
         [
-            record.y - model.simulate(record.u, model.state_from_output(record.y[0], record.u[0]))[0]
+            (record.y - model.simulate(record.u, model.state_from_outputs(record.y[:w], record.u))[0])[
+                w if w > 1 else 0 :
+            ]
             for record in records
         ]
     )
 
 
-def simulation_rms(model: LinearStateSpace, records: tuple[Record, ...]) -> float:
+def simulation_rms(model: LinearStateSpace, records: tuple[Record, ...], init_window: int = 1) -> float:
     """Root mean square of `scored_residuals`, over all samples and outputs; inf where they overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.sqrt(np.mean(np.square(scored_residuals(model, records)))))
+        error = float(np.sqrt(np.mean(np.square(scored_residuals(model, records, init_window)))))
     return error if np.isfinite(error) else float("inf")

@@ -103,6 +103,26 @@ class Simulation:
     """States x(k) (K, n), in the model's own coordinates."""
 
 
+def first_outputs(y_init: ArrayLike, u: FloatArray, outputs: int) -> FloatArray:
+    """The first output samples (w, m) that tell x(0), from (w, m), or (m,) for one.
+
+    Args:
+        y_init: what a simulation was given.
+        u: its inputs (K, r).
+        outputs: number of outputs m.
+
+    Raises:
+        InputError: there are none, more than inputs, or not of m outputs each.
+    """
+    y = np.atleast_2d(np.asarray(y_init, dtype=np.float64))
+    if y.ndim != 2 or y.shape[1] != outputs or not 1 <= len(y) <= len(u):
+        raise InputError(
+            f"y_init: expected 1 to {len(u)} samples (the record's length) of {outputs} output{'s' * (outputs != 1)} "
+            f"each, found an array of shape {np.shape(y_init)}; give the record's first outputs, samples × outputs"
+        )
+    return y
+
+
 @dataclass(frozen=True)
 class Scaling:
     """z-score: ũ = (u − u_mean)/u_std and likewise for y; deviations with ddof = 1."""

@@ -175,7 +175,7 @@ def subspace_model(data: FittingData, order: int, horizon: str) -> LinearStateSp
     from nnss_cli.baselines.n4sid import n4sid, n4sid_auto
 
     train, val = data.normalised()
-    return n4sid(train, order) if horizon == "matlab" else n4sid_auto(train, val, order)[0]
+    return n4sid(train, order) if horizon == "matlab" else n4sid_auto(train, val, order, data.init_window)[0]
 
 
 class N4SID(Method):
@@ -227,7 +227,7 @@ class SSEST(Method):
         from nnss_cli.baselines.ssest import ssest
 
         train, val = data.normalised()
-        return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"]), data))
+        return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"], data.init_window), data))
 
 
 class SSREGEST(Method):
@@ -304,7 +304,7 @@ class SIMBa(Method):
 
         options = SimbaOptions(**{name: value for name, value in settings.items() if name != "horizon"})
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
-        training = train_simba(*data.normalised(), order, seed, options, start, on_epoch)
+        training = train_simba(*data.normalised(), order, seed, options, start, on_epoch, data.init_window)
         model = None if training.diverged else LinearModel.of(training.system, data)
         return Fit(model, training.epochs, training.diverged, training.history, best_epoch=training.best_epoch)
 

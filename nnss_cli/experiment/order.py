@@ -39,14 +39,14 @@ def order_table(data: FittingData, largest: int, horizon: str) -> list[OrderRow]
     Raises:
         InputError: the records are too short for any model.
     """
-    train, val = data.normalised()
+    (train, val), window = data.normalised(), data.init_window
     full = high_order_model(train)
     sigma = full.hankel_singular_values()
     rows = []
     for order in range(1, min(largest, len(sigma)) + 1):
         try:
             model = subspace_model(data, order, horizon)
-            errors: tuple[float | None, float | None] = simulation_rms(model, train), simulation_rms(model, val)
+            errors: tuple[float | None, ...] = tuple(simulation_rms(model, part, window) for part in (train, val))
         except InputError:
             errors = None, None
         rows.append(OrderRow(order, float(sigma[order - 1] / sigma[0]), *errors))

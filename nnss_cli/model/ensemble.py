@@ -35,16 +35,16 @@ class Ensemble:
     def chosen(cls, candidates: Sequence[NNSS], data: FittingData) -> Ensemble:
         """The better half of the candidates by validation, the middle one included.
 
-        The error is the root mean square over all outputs in units of their deviation. Of the rules tried (the k whose
-        mean validates best, the best three, half, all), half held up best from one half of the
-        validation record to the other.
+        The error is the root mean square over all outputs in units of their deviation, after the init window. Of the
+        rules tried (the k whose mean validates best, the best three, half, all), half held up best from one
+        half of the validation record to the other.
         """
-        y = np.concatenate([record.y for record in data.val])
+        w = data.init_window
+        begin = w if w > 1 else 0
+        y = np.concatenate([record.y[begin:] for record in data.val])
 
         def error(model: NNSS) -> float:
-            simulated = np.concatenate(
-                [model.simulate(record.u, record.y[: data.init_window]).y for record in data.val]
-            )
+            simulated = np.concatenate([model.simulate(record.u, record.y[:w]).y[begin:] for record in data.val])
             return float(np.sqrt(np.mean(((simulated - y) / data.scaling.y_std) ** 2)))
 
         return cls(tuple(sorted(candidates, key=error)[: (len(candidates) + 1) // 2]))

@@ -20,8 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation
+from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation, first_outputs
 from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.initial import SINGULAR, response, state_from_window
 from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, write_model
 
@@ -138,18 +139,40 @@ class NNSS(nn.Module):
             ys.append(y_previous)
         return torch.stack(ys, dim=1), torch.stack(xs, dim=1)
 
+    def initial_state(self, u: Tensor, y: Tensor) -> Tensor | None:
+        """x(0) (1, n) that explains first outputs y (w, m) under inputs u (≥ w, r) best, in normalised units.
+
+        None, for the encoder's, where w = 1. See `nnss_cli.model.initial`.
+        """
+        if len(y) == 1:
+            return None
+
+        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+            try:
+                simulated, J = response(self.step, torch.tensor(x0, dtype=self.dtype), u[: len(y)], y[0])
+            except SINGULAR:  # as good as not finite
+                return np.full(y.numel(), np.inf), np.full((y.numel(), len(x0)), np.inf)
+            return (simulated - y).ravel().numpy().astype(np.float64), J.flatten(0, 1).numpy().astype(np.float64)
+
+        guess = self.encoder(y[:1])[0].numpy().astype(np.float64)
+        x0 = state_from_window(evaluate, guess, torch.finfo(self.dtype).eps)
+        return torch.tensor(x0, dtype=self.dtype)[None]
+
     @torch.no_grad()
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
-        """Free simulation in physical units, from the encoder's x(0) for the first output sample.
+        """Free simulation in physical units, from the encoder's x(0), or the x(0) that explains a window best.
 
         Args:
             u: inputs (K, r).
             y_init: first output samples (w, m), or (m,) for one.
+
+        Raises:
+            InputError: there is no such sample, or there are more than inputs.
         """
         scaling = self.scaling
         u_scaled = torch.tensor(scaling.normalise_u(u), dtype=self.dtype)[None]
-        known = torch.tensor(scaling.normalise_y(np.atleast_2d(y_init)), dtype=self.dtype)
-        y, x = self(u_scaled, known[:1])
+        known = torch.tensor(scaling.normalise_y(first_outputs(y_init, u, self.architecture.outputs)), dtype=self.dtype)
+        y, x = self(u_scaled, known[:1], x0=self.initial_state(u_scaled[0], known))
         return Simulation(scaling.restore_y(y[0].numpy().astype(np.float64)), x[0].numpy().astype(np.float64))
 
     def to_file(self) -> tuple[dict[str, Any], Tensors]:

@@ -46,8 +46,11 @@ class Engine(Protocol):
         """
         ...
 
-    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
-        """Simulated outputs (K, m) of inputs (K, r) from a first output (m,), in normalised units."""
+    def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:
+        """Simulated outputs (K, m) of inputs (K, r), in normalised units.
+
+        From the encoder's x(0) for a first output (m,), or the x(0) that explains first outputs (w, m) best.
+        """
         ...
 
     def weights(self) -> Tensors:
@@ -167,10 +170,10 @@ class ReferenceEngine:
         return tuple(torch.cat(found).numpy().astype(np.float64) for found in (errors, J, x))  # type: ignore[return-value]
 
     @torch.no_grad()
-    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+    def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:
         """Free simulation; see `Engine`."""
-        dtype = self.model.dtype
-        y, _ = self.model(torch.tensor(u, dtype=dtype)[None], torch.tensor(y0, dtype=dtype)[None])
+        inputs, known = (torch.tensor(signal, dtype=self.model.dtype) for signal in (u, np.atleast_2d(y_init)))
+        y, _ = self.model(inputs[None], known[:1], x0=self.model.initial_state(inputs, known))
         return np.asarray(y[0].numpy(), dtype=np.float64)
 
     def weights(self) -> Tensors:
@@ -178,8 +181,16 @@ class ReferenceEngine:
         return {name: parameter.detach().numpy().copy() for name, parameter in self.model.named_parameters()}
 
 
-def free_run_rmse(engine: Engine, records: tuple[Record, ...]) -> float:
-    """Root mean square error of free simulations over all samples and outputs, in normalised units."""
+def free_run_rmse(engine: Engine, records: tuple[Record, ...], init_window: int = 1) -> float:
+    """Root mean square error of free simulations over all samples and outputs, in normalised units.
+
+    Args:
+        engine: holds the weights.
+        records: in normalised units.
+        init_window: first samples that tell x(0), w; where w > 1 they are not scored.
+    """
+    w = init_window
+    begin = w if w > 1 else 0
     with np.errstate(over="ignore", invalid="ignore"):
-        errors = [(engine.free_run(record.u, record.y[0]) - record.y).ravel() for record in records]
+        errors = [(engine.free_run(record.u, record.y[:w]) - record.y)[begin:].ravel() for record in records]
         return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))

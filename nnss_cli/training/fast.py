@@ -12,6 +12,7 @@ from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.windows import Windows
 from nnss_cli.model import kernels
 from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map
@@ -49,11 +50,43 @@ class Weights:
         E, e = encoder_map(self.encoder(self.vector), self.architecture.outputs)[-1]
         return E @ y0 + e.reshape(-1, *[1] * (y0.ndim - 1))
 
-    def free_run(self, u: FloatArray, y0: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Simulated outputs (K, m) and states (K, n) in normalised units."""
-        first = np.array(y0, self.vector.dtype)[:, None]
-        y, x = self.free_runs(u[:, :, None], first, self.encode(first))
+    def free_run(self, u: FloatArray, y_init: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Simulated outputs (K, m) and states (K, n) in normalised units; see `Engine`."""
+        known = np.atleast_2d(np.array(y_init, self.vector.dtype))
+        first = known[:1].T
+        x0 = self.encode(first)
+        if len(known) > 1:
+            x0 = self.state_from(u, known, x0[:, 0])[:, None]
+        y, x = self.free_runs(u[:, :, None], first, x0)
         return y[:, :, 0], x[:, :, 0]
+
+    def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
+        """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
+        n, p = self.architecture.order, self.generator_size
+
+        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+            simulated, _, J = self.sensitivities(x0, u[: len(y)], y[0])
+            return (simulated - y).ravel().astype(np.float64), J[:, :, p:].reshape(-1, n).astype(np.float64)
+
+        return state_from_window(evaluate, guess, float(np.finfo(self.vector.dtype).eps))
+
+    def sensitivities(self, x0: FloatArray, u: FloatArray, y0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a simulation of u (K, r) from x0 (n,) and the output y0 (m,) before it.
+
+        Returns:
+            Outputs (K, m), states (K, n), and the outputs' derivatives (K, m, p + n) by the generator's weights and x0.
+        """
+        a, dtype, p = self.architecture, self.vector.dtype, self.generator_size
+        K, n = len(u), a.order
+        S0 = np.concatenate([np.zeros((n, p)), np.eye(n)], axis=1).astype(dtype)
+        y, x = np.empty((K, a.outputs), dtype), np.empty((K, n), dtype)
+        J = np.empty((K, a.outputs, p + n), dtype)
+        x0, u, y0 = (np.array(signal, dtype, order="C") for signal in (x0, u, y0))
+        kernels.sensitivities(
+            self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
+            a.epsilon, x0, S0, u, y0, y, x, J,
+        )  # fmt: skip
+        return y, x, J
 
     def free_runs(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Side by side: outputs (K, m, b) and states (K, n, b) from u (K, r, b), y0 (m, b) and x0 (n, b)."""
@@ -148,20 +181,14 @@ class FastEngine:
         ends = np.cumsum(self.windows.lengths - with_y)
         errors, x = np.empty((ends[-1], m), dtype), np.empty((ends[-1], n), dtype)
         J = np.zeros((ends[-1], m, p + N * n), dtype)
-        S0 = np.concatenate([np.zeros((n, p)), np.eye(n)], axis=1).astype(dtype)
         for window, end in enumerate(ends):
             u, y = self.windows.window(window)
             first = y[0]
             if with_y:
                 u, y = u[1:], y[1:]
             rows = slice(end - len(y), end)
-            own = np.empty((len(y), m, p + n), dtype)
-            kernels.sensitivities(
-                weights.vector, weights.widths, kernels.KINDS[a.stability],
-                "u" in a.scheduling, with_y, a.gamma, a.epsilon,
-                x0[window].astype(dtype), S0, u, first, errors[rows], x[rows], own,
-            )  # fmt: skip
-            errors[rows] -= y
+            simulated, x[rows], own = weights.sensitivities(x0[window], u, first)
+            errors[rows] = simulated - y
             J[rows, :, :p] = own[:, :, :p]
             J[rows, :, p + window * n : p + (window + 1) * n] = own[:, :, p:]
         return errors.reshape(-1), J.reshape(errors.size, -1), x
@@ -173,9 +200,9 @@ class FastEngine:
         kernels.adam(self.model_weights.vector, self.gradient, *self.moments, self.recipe.learning_rate, epoch)
         return loss
 
-    def free_run(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+    def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:
         """Free simulation; see `Engine`."""
-        return self.model_weights.free_run(u, y0)[0].astype(np.float64)
+        return self.model_weights.free_run(u, y_init)[0].astype(np.float64)
 
     def weights(self) -> Tensors:
         """A copy of the weights; see `Engine`."""

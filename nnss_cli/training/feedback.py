@@ -27,6 +27,7 @@ import torch
 
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import regress_encoder, set_encoder
 from nnss_cli.training.gauss_newton import levenberg_marquardt
@@ -62,6 +63,19 @@ class Feedback:
                 path[k:] = np.inf
                 break
         return path
+
+    def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
+        """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
+
+        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+            path = self.states(u[: len(y)], x0)
+            S, J = np.eye(len(x0)), np.empty((*y.shape, len(x0)))
+            for k, slope in enumerate(1 - np.tanh(path @ self.G.T) ** 2):
+                J[k] = self.C @ S
+                S = (self.A + (self.F * slope) @ self.G) @ S
+            return (path @ self.C.T - y).ravel(), J.reshape(-1, len(x0))
+
+        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps)) if len(y) > 1 else guess
 
     def state_matrix(self, x: FloatArray) -> FloatArray:
         """A(x) = A + F ψ(Gx) G, with ψ(s) = tanh(s)/s."""
@@ -153,7 +167,13 @@ class Problem:
 
 
 def fit_feedback(
-    start: LinearStart, train: tuple[Record, ...], val: tuple[Record, ...], gamma: float, epsilon: float, gain: float
+    start: LinearStart,
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    gamma: float,
+    epsilon: float,
+    gain: float,
+    init_window: int = 1,
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
 
@@ -164,6 +184,7 @@ def fit_feedback(
         gamma: bound on ‖A(x)‖₂ in the basis of the result.
         epsilon: as in `schur_matrix`.
         gain: g.
+        init_window: first samples of a validation experiment that tell x(0); where several, they are not scored.
 
     Returns:
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
@@ -172,10 +193,13 @@ def fit_feedback(
     model, E = start
     problem = Problem(model, E, gain * model.C, train)
     y = np.concatenate([record.y for record in train])
-    known = np.concatenate([record.y for record in val])
+    w = init_window
+    unscored = w if w > 1 else 0
+    known = np.concatenate([record.y[unscored:] for record in val])
 
     def val_error(model: Feedback, E: FloatArray, e: FloatArray) -> float:
-        path = np.concatenate([model.states(record.u, E @ record.y[0] + e) for record in val])
+        begin = [model.state_from(record.u, record.y[:w], E @ record.y[0] + e) for record in val]
+        path = np.concatenate([model.states(r.u, x0)[unscored:] for r, x0 in zip(val, begin, strict=True)])
         return float(np.mean((path @ model.C.T - known) ** 2)) if np.isfinite(path).all() else np.inf
 
     linear, begin = problem.parts(problem.start)
@@ -208,6 +232,7 @@ def feedback_start(
     train: tuple[Record, ...],
     val: tuple[Record, ...],
     random: np.random.Generator,
+    init_window: int = 1,
 ) -> bool:
     """Set `model` such that it simulates like a linear one with feedback from its outputs.
 
@@ -221,6 +246,7 @@ def feedback_start(
         train: experiments in normalised units.
         val: validation experiments.
         random: draws g, slopes and centres.
+        init_window: first samples of a validation experiment that tell x(0).
 
     Returns:
         Whether there is such a model that validates better than the linear one; else nothing is changed.
@@ -228,7 +254,7 @@ def feedback_start(
     a = model.architecture
     middle, spread = GAIN
     gain = middle * np.exp(spread * random.standard_normal())
-    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain)
+    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain, init_window)
     if found is None:
         return False
     feedback, x = found

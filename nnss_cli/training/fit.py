@@ -13,6 +13,7 @@ from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
+from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
@@ -21,7 +22,6 @@ from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
 
-SINGULAR = torch.linalg.LinAlgError  # type: ignore[attr-defined]  # torch does not list it as exported
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 
@@ -76,11 +76,11 @@ def train_nnss(
 
     architecture = recipe.architecture(order, data.input_count, data.output_count)
     model = NNSS(architecture, data.scaling, data.channels, data.Ts)
-    start, remarks = begin(model, recipe.initial, train, val, seed)
+    start, remarks = begin(model, recipe.initial, train, val, seed, data.init_window)
     engine = build_engine(model, u, y, recipe)
 
     batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
-    watch = _Watch(engine, val, recipe, batches, on_epoch)
+    watch = _Watch(engine, val, data.init_window, recipe, batches, on_epoch)
     try:
         if start != "random":
             watch.start()
@@ -102,7 +102,7 @@ def train_nnss(
 
 
 def begin(
-    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int
+    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int, init_window: int = 1
 ) -> tuple[str, tuple[str, ...]]:
     """Fill the weights of `model` with the start asked for, or with the next that these data allow.
 
@@ -112,6 +112,7 @@ def begin(
         train: experiments in normalised units.
         val: validation experiments.
         seed: of the random weights and the feedback's gain.
+        init_window: first samples of a validation experiment that tell x(0).
 
     Returns:
         The start that was taken, and remarks on those that were not.
@@ -130,12 +131,12 @@ def begin(
     if initial == "random":
         return initial, remarks
     try:
-        linear = linear_start(train, val, model.architecture.order, model.architecture.gamma)
+        linear = linear_start(train, val, model.architecture.order, model.architecture.gamma, init_window)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
     if initial == "feedback":
         try:
-            if feedback_start(model, linear, train, val, named_random(seed, "feedback")):
+            if feedback_start(model, linear, train, val, named_random(seed, "feedback"), init_window):
                 return initial, remarks
             remarks += ("feedback start refused: no iterate validated better than the linear model",)
         except FAILURES as error:
@@ -156,11 +157,12 @@ class _Watch:
         self,
         engine: Engine,
         val: tuple[Record, ...],
+        init_window: int,
         recipe: Recipe,
         batches: int,
         on_epoch: EpochCallback | None,
     ) -> None:
-        self.engine, self.val, self.on_epoch = engine, val, on_epoch
+        self.engine, self.val, self.init_window, self.on_epoch = engine, val, init_window, on_epoch
         self.epoch_waits = batches if recipe.patience_unit == "steps" else 1
         self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
         self.kept, self.best_epoch, self.diverged = engine.weights(), 0, ""
@@ -169,7 +171,11 @@ class _Watch:
 
     def start(self) -> None:
         """Let the weights before the first epoch count: a warm start may be the best there is."""
-        self.stopping.is_best(free_run_rmse(self.engine, self.val))
+        self.stopping.is_best(self.val_error())
+
+    def val_error(self) -> float:
+        """Of the weights as they are, by the rule that scores them."""
+        return free_run_rmse(self.engine, self.val, self.init_window)
 
     def begin_again(self) -> None:
         """Go back to the best weights, with fresh patience."""
@@ -184,7 +190,7 @@ class _Watch:
             self.diverged = f"the loss became {loss} in epoch {epoch}"
             return False
         self.losses.append(loss)
-        self.errors.append(free_run_rmse(self.engine, self.val))
+        self.errors.append(self.val_error())
         if not math.isfinite(self.errors[-1]):
             self.diverged = f"the validation error became {self.errors[-1]} in epoch {epoch}"
             return False

@@ -28,13 +28,22 @@ LinearStart: TypeAlias = tuple[LinearStateSpace, FloatArray]
 """A linear model in normalised units, and the matrix (n, m) that takes y(0) to its x(0)."""
 
 
-def linear_start(train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float) -> LinearStart:
+def linear_start(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float, init_window: int = 1
+) -> LinearStart:
     """SSEST's model with ρ(A) < γ, in the basis in which its states over the training records have unit covariance.
+
+    Args:
+        train: experiments in normalised units.
+        val: validation experiments.
+        order: number of states n.
+        gamma: γ.
+        init_window: first samples of a validation experiment that tell x(0).
 
     Returns:
         The model in normalised units, and the matrix that takes y(0) to the x(0) from which it is scored.
     """
-    model = ssest(train, val, order)
+    model = ssest(train, val, order, init_window=init_window)
     radius, limit = model.spectral_radius(), gamma * (1 - INSIDE)
     if radius > limit:
         model = LinearStateSpace(model.A * (limit / radius), model.B, model.C, model.D, model.Ts)

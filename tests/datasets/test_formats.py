@@ -374,7 +374,7 @@ def test_sizes_are_refused_before_memory_is_taken(tmp_path: Path, monkeypatch: p
         ("a.csv", b"u,y\n1,\xb0\n", "not UTF-8 text .byte 0xb0."),
         ("a.csv", b"\x89HDF\r\n\x1a\n\x00\x00", "not UTF-8 text"),
         ("a.csv.gz", b"u,y\n1,2\n", "cannot be read as .csv: Not a gzipped file"),
-        ("a.csv.gz", gzip.compress(b"u,y\n1,2\n" * 999)[:-20], "cannot be read as .csv"),
+        ("a.csv.gz", gzip.compress(b"u,y\n1,2\n" * 999, mtime=0)[:-20], "cannot be read as .csv"),
         ("a.xlsx", b"PK\x03\x04", "cannot be read as .xlsx"),
         ("a.parquet", b"PAR1", "cannot be read as .parquet"),
         ("a.mat", b"MATLAB 5.0", "cannot be read as .mat"),
