@@ -172,7 +172,8 @@ def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     constant = highest - lowest <= ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
     # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
     mean = np.where(constant, values[0], values.mean(axis=0))
-    return mean, np.where(constant, 1.0, values.std(axis=0, ddof=1 if len(values) > 1 else 0))
+    deviation = values.std(axis=0, ddof=1 if len(values) > 1 else 0)
+    return mean, np.where(constant | (deviation == 0), 1.0, deviation)  # 0 where squares underflow
 
 
 def _kind(record: Record) -> str:
