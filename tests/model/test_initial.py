@@ -122,7 +122,7 @@ def test_on_a_linear_system_it_is_the_regularised_least_squares(n: int, more: in
     for _ in range(200):
         mu = np.sum((J @ expected - b) ** 2) / (q - n)
         expected = guess + np.linalg.solve(J.T @ J + mu * np.eye(n), J.T @ (b - J @ guess))
-    np.testing.assert_allclose(x, expected, atol=1e-4 * noise)
+    np.testing.assert_allclose(x, expected, atol=1e-3 * noise)  # a thousandth of its uncertainty
 
 
 @given(n=st.integers(2, 6), seed=st.integers(0, 999))
