@@ -56,7 +56,7 @@ def state_from_window(evaluate: Evaluate, guess: FloatArray, precision: float) -
         if not (np.isfinite(x).all() and np.isfinite(e).all() and np.isfinite(J).all()):
             return x
         q, n = J.shape
-        mu, damping = float(e @ e) / (q - n if q > n else q), FIRST_DAMPING
+        mu, damping = float(e @ e) / q, FIRST_DAMPING
         linearised = None
         for _ in range(EVALUATIONS - 1):
             cost = float(e @ e) + mu * float(np.sum((x - guess) ** 2))
@@ -74,7 +74,7 @@ def state_from_window(evaluate: Evaluate, guess: FloatArray, precision: float) -
             lower = float(errors @ errors) + mu * float(np.sum((candidate - guess) ** 2))
             if lower < cost and np.isfinite(derivatives).all():
                 x, e, J, linearised = candidate, errors, derivatives, None
-                damping = max(damping / 100, precision)  # below, rounding would move what is not observable
+                damping /= 100
                 mu = float(e @ e) / (q - n) if q > n else mu
             else:
                 damping *= 10

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from nnss_cli.baselines import ssest as ssest_module
 from nnss_cli.baselines.n4sid import n4sid_auto, n4sid_candidates
-from nnss_cli.baselines.statespace import simulation_rms
-from nnss_cli.datasets.record import Dataset, Simulation
+from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
+from nnss_cli.datasets.record import Dataset, Record, Scaling, Simulation
 
 from nnss_cli.experiment.execute import simulate_splits
 from nnss_cli.experiment.order import order_table
 from nnss_cli.methods import METHODS
 from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.training.engine import free_run_rmse
 from nnss_cli.training.feedback import Feedback
 from nnss_cli.training.fit import build_engine
 from nnss_cli.training.recipe import ENGINES, Recipe
@@ -23,10 +24,19 @@ W = 20
 
 
 @pytest.fixture
-def windowed(small_data: Callable) -> Dataset:
-    """Its validation record begins elsewhere than one sample tells."""
-    dataset = small_data(K=240)
-    return replace(dataset, fitting=replace(dataset.fitting, init_window=W))
+def windowed(small_data: Callable, system: Callable) -> Dataset:
+    """Its plant is slow, and its records begin elsewhere than one sample tells."""
+    dataset, random = small_data(K=240), np.random.default_rng(1)
+    plant = LinearStateSpace(*system(2, 1, 1, 5, radius=0.97), 0.5)
+
+    def record() -> Record:
+        u = random.standard_normal((80, 1))
+        y = plant.simulate(u, 8 * random.standard_normal(2))[0]
+        return Record(u, y + 0.01 * random.standard_normal((80, 1)), 0.5)
+
+    train, val, test = ((record(),) for _ in range(3))
+    fitting = replace(dataset.fitting, train=train, val=val, scaling=Scaling.of(train), init_window=W)
+    return Dataset(fitting, {"test": test})
 
 
 def scored(model: object, dataset: Dataset, split: str) -> float:
@@ -57,6 +67,7 @@ def test_an_engine_runs_from_the_models_window(engine: str, windowed: Dataset) -
     ours = model.simulate(data.val[0].u, data.val[0].y[:W]).y
     np.testing.assert_allclose(built.free_run(record.u, record.y[:W]), data.scaling.normalise_y(ours), atol=1e-6)
     assert np.abs(built.free_run(record.u, record.y[0]) - data.scaling.normalise_y(ours)).max() > 1e-3
+    assert free_run_rmse(built, (record,), W) == pytest.approx(scored(model, windowed, "val"), rel=1e-6)
 
 
 def test_linear_errors_are_the_score(windowed: Dataset) -> None:
