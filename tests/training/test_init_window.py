@@ -114,8 +114,9 @@ def test_a_feedback_start_is_judged_from_windows(windowed: Dataset, monkeypatch:
         return plain(self, u, y, guess)
 
     monkeypatch.setattr(Feedback, "state_from", noting)
-    METHODS["nnss"].fit(windowed.fitting, 2, 0, METHODS["nnss"].settings(windowed.fitting, 2, QUICK), None)
+    fit = METHODS["nnss"].fit(windowed.fitting, 2, 0, METHODS["nnss"].settings(windowed.fitting, 2, QUICK), None)
     assert lengths == {W}
+    assert not any("failed" in remark for remark in fit.remarks)
 
 
 class Off:
