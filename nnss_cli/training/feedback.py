@@ -68,14 +68,19 @@ class Feedback:
         """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-            path = self.states(u[: len(y)], x0)
-            S, J = np.eye(len(x0)), np.empty((*y.shape, len(x0)))
-            for k, slope in enumerate(1 - np.tanh(path @ self.G.T) ** 2):
-                J[k] = self.C @ S
-                S = (self.A + (self.F * slope) @ self.G) @ S
-            return (path @ self.C.T - y).ravel(), J.reshape(-1, len(x0))
+            simulated, J = self.response(u[: len(y)], x0)
+            return (simulated - y).ravel(), J.reshape(-1, len(x0))
 
         return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps)) if len(y) > 1 else guess
+
+    def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
+        path = self.states(u, x0)
+        S, J = np.eye(len(x0)), np.empty((len(u), len(self.C), len(x0)))
+        for k, slope in enumerate(1 - np.tanh(path @ self.G.T) ** 2):
+            J[k] = self.C @ S
+            S = (self.A + (self.F * slope) @ self.G) @ S
+        return path @ self.C.T, J
 
     def state_matrix(self, x: FloatArray) -> FloatArray:
         """A(x) = A + F ψ(Gx) G, with ψ(s) = tanh(s)/s."""

@@ -122,7 +122,7 @@ def test_on_a_linear_system_it_is_the_regularised_least_squares(n: int, more: in
     for _ in range(200):
         mu = np.sum((J @ expected - b) ** 2) / (q - n)
         expected = guess + np.linalg.solve(J.T @ J + mu * np.eye(n), J.T @ (b - J @ guess))
-    np.testing.assert_allclose(x, expected, atol=1e-4 * noise)
+    np.testing.assert_allclose(x, expected, atol=1e-3 * noise)  # a thousandth of its uncertainty
 
 
 @given(n=st.integers(2, 6), seed=st.integers(0, 999))
@@ -200,6 +200,8 @@ def test_a_model_with_feedback_finds_its_state(seed: int) -> None:
     y = model.states(u, x0) @ model.C.T
     np.testing.assert_allclose(model.state_from(u, y[:50], np.zeros(3)), x0, atol=1e-6)
     np.testing.assert_array_equal(model.state_from(u, y[:1], x0 + 1), x0 + 1)
+    differences = [(model.response(u, x0 + d)[0] - model.response(u, x0 - d)[0]) / 2e-6 for d in 1e-6 * np.eye(3)]
+    np.testing.assert_allclose(model.response(u, x0)[1], np.stack(differences, axis=-1), atol=1e-8)
 
 
 @given(n=st.integers(1, 5), m=st.integers(1, 2), w=st.integers(2, 40), seed=st.integers(0, 999))
