@@ -12,14 +12,15 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 SEEDS ?= 10
 OUT ?= results
 ARGS ?=
+MUTANTS ?= 200
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow lint format reproduce studies bench clean
+.PHONY: help install demo testdata test test-slow mutants lint format reproduce studies bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
-	@echo "Variables: SEEDS=$(SEEDS) OUT=$(OUT) ARGS='--jobs 1' PYTHON=$(PYTHON)"
+	@echo "Variables: SEEDS=$(SEEDS) OUT=$(OUT) MUTANTS=$(MUTANTS) ARGS='--jobs 1' PYTHON=$(PYTHON)"
 
 install: $(VENV)/.installed ## Make .venv with nnss and its tools (CPU build of torch)
 
@@ -46,6 +47,11 @@ test: install testdata ## Run the tests (slow ones are left out)
 
 test-slow: install testdata ## Run the slow tests too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
+
+# Not part of the tests: an hour or so. .mutants/survivors.diff tells what no test noticed; docs/testing.md.
+mutants: install testdata ## How many small faults in the code the tests notice, on a sample: MUTANTS=200 ARGS='--seed 0'
+	@$(PIP) --editable '.[tune,certify,test,mutants]'
+	$(BIN)/python tests/mutants.py --sample $(MUTANTS) $(ARGS)
 
 # mypy does not follow the mapping of datasets/ and baselines/ into the package in an editable
 # install, so it reads an installed copy.
@@ -81,4 +87,4 @@ bench: install ## Engines and N4SID against other ways to do it, as ratios in on
 	$(BIN)/python benchmarks/subspace.py
 
 clean: ## Remove .venv and build products; results/ stays
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist *.egg-info .mutants .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,10 +1,13 @@
 """The shape of the code: who may import whom, what is loaded when, what is installed."""
 
 import ast
+import importlib
+import pkgutil
 import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
@@ -126,3 +129,15 @@ def test_wheel_installs_only_the_package(tmp_path: Path) -> None:
         assert inside in built, inside
     assert "nnss_cli/report/paper_tables.csv" in names
     assert "nnss_cli/py.typed" in names
+
+
+def test_dataclasses_are_frozen() -> None:
+    """What is checked where it is made stays so; the two that are not frozen are working memory of a search."""
+    thawed = set()
+    for package in ("nnss_cli", *(f"nnss_cli.{name}" for name in FOLDERS)):
+        for found in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not found.name.endswith("__main__"):
+                values = vars(importlib.import_module(found.name)).values()
+                own = [v for v in values if isinstance(v, type) and is_dataclass(v) and v.__module__ == found.name]
+                thawed |= {value.__name__ for value in own if not value.__dataclass_params__.frozen}
+    assert thawed == {"EarlyStopping", "_Problem"}

@@ -205,6 +205,16 @@ def test_released_medians_have_a_spread_of_their_own() -> None:
         assert line.split("|")[-2].strip() == word
 
 
+def test_medians_stand_beside_released_medians() -> None:
+    runs = [result("nnss", seed, 1.0, test) for seed, test in enumerate((0.01, 0.02, 0.3))]  # released: 0.02113
+    runs.append(result("nnss", 3, 0, 0, status="diverged"))
+    for lost, cells in ((0, ["3/3", "0.02113", "0.02", "-5 %"]), (1, ["3/4", "0.02113", "0.16", "+657 %"])):
+        own = [replace(r, spec=papers(r.spec)) for r in runs[: 3 + lost]]
+        line = [cell.strip() for cell in line_of(released_comparison(own), "nnss", "test").split("|")]
+        assert [line[i] for i in (4, 5, 7, 9)] == cells
+        assert line[10] == ("worse" if lost else "reproduced")
+
+
 def test_choosing_on_test_takes_the_seed_with_the_lowest_test_error() -> None:
     (line,) = (line for line in optimism(RUNS).splitlines() if "nnss" in line)
     assert [cell.strip() for cell in line.split("|")][3:7] == ["3/4", "8", "1", "88 %"]

@@ -64,6 +64,10 @@ def test_failed_runs_enter_medians_and_ratios_as_infinity() -> None:
     assert median_interval([1.0, 2, 3, 4, 5, 6, 7, 8, lost, lost]).high == lost
 
 
+def test_a_ratio_is_of_medians_and_not_of_means() -> None:
+    assert ratio([1.0, 2.0, 30.0], [4.0, 5.0, 9.0]) == 2 / 5
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=12), st.floats(0, 1))
 def test_without_failures_a_quantile_is_numpys(values: list[float], q: float) -> None:
     assert quantile(values, q) == np.quantile(values, q)

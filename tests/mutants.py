@@ -1,0 +1,380 @@
+"""Mutation testing on a sample: how many small faults in the code the tests notice.
+
+    python tests/mutants.py --sample 200 --seed 0
+
+First the mutants of mutants.toml, which a review made by hand; then a seeded sample of those that Cosmic Ray's
+operators make, as many from each folder. A mutant is killed when a test fails, or when the tests take longer than
+`timeout`. Everything happens in a copy in a temporary folder, so an interruption leaves the working tree as it was.
+
+Cosmic Ray's own `exec` would take hours: it runs one command for every mutant, in a new process. Here a mutant is
+judged by the tests of its folder that ran the mutated statement (by coverage), the fastest first, up to the first that
+fails, in a fork of a process that has loaded the libraries. mutmut 3 cannot be used: it knows a function by its file's
+path, and datasets/record.py is imported as nnss_cli.datasets.record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import difflib
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from mutants_pytest import Judging, Mapping, run_tests
+from real_files import folder_of_files
+
+ROOT = Path(__file__).parents[1]
+KEPT = ROOT / ".mutants"  # what ran where, and the survivors
+
+# folder → what is mutated, and the tests that judge it
+FOLDERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "datasets": ("datasets", ("tests/datasets", "tests/experiment/test_runs.py")),
+    "experiment": ("nnss_cli/experiment", ("tests/experiment", "tests/report")),
+    "report": ("nnss_cli/report", ("tests/report",)),
+    "training/fit.py": ("nnss_cli/training/fit.py", ("tests/training",)),
+}
+STRUCTURE = "tests/test_structure.py::test_dataclasses_are_frozen"  # judges every folder
+INSIDE = ("datasets", "baselines")  # top-level folders that are installed inside the package
+
+# On numbers >>, |, & and ^ in the place of arithmetic raise a TypeError: kills that say nothing of the tests.
+TRIVIAL = re.compile(r"BinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(RShift|LShift|BitOr|BitAnd|BitXor)")
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A file with one change."""
+
+    name: str
+    """file:operator:number, or the name that mutants.toml gives."""
+    file: str
+    """Path in the repository."""
+    text: str
+    """The file's content with the change."""
+    line: int
+    """Line of the change, from 1."""
+    tests: tuple[str, ...]
+    """Files and folders whose tests judge it, or the one test that must."""
+    named: bool = False
+    """Whether it is of mutants.toml: judged by the test named there."""
+
+    def diff(self) -> list[str]:
+        """The change as a unified diff without context."""
+        old, new = (ROOT / self.file).read_text(encoding="utf-8").splitlines(), self.text.splitlines()
+        return list(difflib.unified_diff(old, new, self.file, self.name, lineterm="", n=0))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the tests made of a mutant."""
+
+    mutant: Mutant
+    """Which."""
+    killer: str
+    """The test that failed, "timeout", or "" for a survivor."""
+    seconds: float
+    """Wall time [s]."""
+
+
+@dataclass
+class Map:
+    """What the tests run where nothing is mutated."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Time of each test [s]."""
+    lines: dict[str, dict[int, set[str]]] = field(default_factory=dict)
+    """Tests that ran a line, by file and line; a test file's name for a fixture that it shares."""
+
+
+def installed(file: str) -> str:
+    """Where a file of the repository stands in the copy, which is laid out as the package is installed."""
+    return f"nnss_cli/{file}" if file.split("/")[0] in INSIDE else file
+
+
+def copy_of_package(root: Path) -> None:
+    """Package, tests and pytest's settings; dates are kept, for the compiled files that go by them."""
+    ignore = shutil.ignore_patterns("__pycache__")
+    for folder in ("nnss_cli", *INSIDE, "tests"):
+        shutil.copytree(ROOT / folder, root / installed(folder), ignore=ignore)
+    shutil.copy2(ROOT / "pyproject.toml", root)
+
+
+def named_mutants() -> list[Mutant]:
+    """Those of mutants.toml.
+
+    Raises:
+        SystemExit: the text to change does not occur exactly once: the code has moved on.
+    """
+    found = []
+    for entry in tomllib.loads((ROOT / "tests/mutants.toml").read_text(encoding="utf-8"))["mutant"]:
+        source = (ROOT / entry["file"]).read_text(encoding="utf-8")
+        if source.count(entry["old"]) != 1:
+            raise SystemExit(f"mutants.toml: {entry['name']}: expected the old text once in {entry['file']}")
+        at = source[: source.index(entry["old"])].count("\n") + 1
+        text = source.replace(entry["old"], entry["new"])
+        found.append(Mutant(entry["name"], entry["file"], text, at, (entry["test"],), named=True))
+    return found
+
+
+def places(file: str) -> dict[tuple[tuple[int, int], tuple[int, int]], list[tuple[str, int]]]:
+    """Start and end of everything in a file that an operator changes → each operator and its count of occurrences."""
+    from cosmic_ray.ast import ast_nodes, get_ast_from_path
+    from cosmic_ray.plugins import get_operator, operator_names
+
+    nodes = list(ast_nodes(get_ast_from_path(ROOT / file)))
+    found: dict[Any, list[tuple[str, int]]] = {}
+    for name in operator_names():
+        operator = get_operator(name)
+        if operator.arguments() or TRIVIAL.search(name):
+            continue
+        positions = (place for node in nodes for place in operator().mutation_positions(node))
+        for occurrence, place in enumerate(positions):
+            found.setdefault(place, []).append((name, occurrence))
+    return found
+
+
+def mutant_of(file: str, operator: str, occurrence: int, line: int) -> Mutant | None:
+    """The mutant, or None where it is the same program: the text of an annotation is never evaluated."""
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator
+
+    source = (ROOT / file).read_text(encoding="utf-8")
+    text = mutate_code(source, get_operator(operator)(), occurrence)
+    try:
+        if text is None or _program(text) == _program(source):
+            return None
+    except SyntaxError:
+        return None
+    folder = next(name for name, (path, _) in FOLDERS.items() if file.startswith(path))
+    return Mutant(f"{file}:{operator.rpartition('/')[2]}:{occurrence}", file, text, line, FOLDERS[folder][1])
+
+
+def _program(text: str) -> str:
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+        elif isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(None)
+    return ast.dump(tree)
+
+
+def sampled(folder: str, count: int, seed: int) -> list[Mutant]:
+    """A draw of places without replacement, and at each one of its mutants: the many of `+` count no more than one."""
+    path = ROOT / FOLDERS[folder][0]
+    files = [path] if path.is_file() else sorted(path.glob("*.py"))
+    at = [
+        (str(file.relative_to(ROOT)), place, choices)
+        for file in files
+        for place, choices in sorted(places(str(file.relative_to(ROOT))).items())
+    ]
+    random = Random(f"{seed} {folder}")
+    random.shuffle(at)
+    drawn: list[Mutant] = []
+    for file, ((line, _), _), choices in at:
+        if len(drawn) == count:
+            break
+        mutant = mutant_of(file, *random.choice(choices), line)
+        if mutant:
+            drawn.append(mutant)
+    return drawn
+
+
+def found_again(name: str) -> Mutant:
+    """The mutant of this name.
+
+    Raises:
+        SystemExit: there is none.
+    """
+    by_name = {mutant.name: mutant for mutant in named_mutants()}
+    if name in by_name:
+        return by_name[name]
+    file, _, rest = name.partition(":")
+    word, _, number = rest.partition(":")
+    for ((line, _), _), choices in places(file).items() if (ROOT / file).is_file() else ():
+        for operator, occurrence in choices:
+            if (operator.rpartition("/")[2], str(occurrence)) == (word, number):
+                mutant = mutant_of(file, operator, occurrence, line)
+                if mutant:
+                    return mutant
+    raise SystemExit(f"no mutant is named '{name}'")
+
+
+def mapped(root: Path) -> Map:
+    """What the tests run; files of tests that have not changed since the last time, nor the code, are not run again.
+
+    Raises:
+        SystemExit: a test fails where nothing is mutated.
+    """
+    common = [*(ROOT / "nnss_cli").rglob("*.py"), *(f for name in INSIDE for f in (ROOT / name).rglob("*.py"))]
+    common.append(ROOT / "tests/conftest.py")
+    folders = sorted({test for _, tests in FOLDERS.values() for test in tests})
+    files = sorted(
+        {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("*.py"))}
+    )
+    files.append(ROOT / STRUCTURE.partition("::")[0])
+    hashes = {str(f.relative_to(ROOT)): _hash([*common, f]) for f in files}
+    kept_in = KEPT / "map.json"
+    kept = json.loads(kept_in.read_text(encoding="utf-8")) if kept_in.is_file() else {}
+    for file in [file for file in hashes if kept.get(file, {}).get("hash") != hashes[file]]:
+        print(f"what {file} runs …", flush=True)
+        result, log = root / "map.json", root / "log.txt"
+        plugin = Mapping(root, [installed(path) for path, _ in FOLDERS.values()], result)
+        if run_tests(root, [STRUCTURE if STRUCTURE.startswith(file) else file], plugin, log, 3600, keep_compiled=True):
+            raise SystemExit(f"tests fail where nothing is mutated:\n{log.read_text(encoding='utf-8')[-4000:]}")
+        kept[file] = {"hash": hashes[file], **json.loads(result.read_text(encoding="utf-8"))}
+        KEPT.mkdir(parents=True, exist_ok=True)
+        kept_in.write_text(json.dumps(kept), encoding="utf-8")
+    found = Map()
+    for file in hashes:
+        found.seconds |= kept[file]["seconds"]
+        for path, lines in kept[file]["lines"].items():
+            for line, tests in lines.items():
+                found.lines.setdefault(path, {}).setdefault(int(line), set()).update(tests)
+    return found
+
+
+def _hash(files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _functions(tree: ast.AST) -> Iterator[tuple[int, int]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            yield node.body[0].lineno, node.end_lineno or node.lineno
+
+
+def _statement(tree: ast.AST, line: int) -> range:
+    """Lines of the innermost statement around a line, of a compound one the head only."""
+    best = range(line, line + 1)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno):
+            body = getattr(node, "body", None)
+            end = body[0].lineno if body else (node.end_lineno or node.lineno) + 1
+            if line < end:
+                best = range(node.lineno, end)  # ast.walk goes from the outer to the inner
+    return best
+
+
+def chosen_tests(mutant: Mutant, ran: Map) -> list[str]:
+    """Tests that can tell a mutant of a function: they ran the statement. All of the folder outside of functions.
+
+    A statement that no test was seen to run may have run in a worker process: what ran its file judges it.
+    """
+    tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
+    lines = ran.lines.get(installed(mutant.file), {})
+    bodies = list(_functions(tree))
+
+    def tests_of(numbers: Iterator[int] | range) -> set[str]:
+        return {test for number in numbers for test in lines.get(number, ())}
+
+    near = tests_of(number for first, last in bodies for number in range(first, last + 1))
+    own = [t for t in ran.seconds if t == STRUCTURE or any(t.startswith((f"{f}/", f"{f}::")) for f in mutant.tests)]
+    if any(first <= mutant.line <= last for first, last in bodies):
+        seen = tests_of(_statement(tree, mutant.line)) or near
+        own = [test for test in own if test in seen or test.partition("::")[0] in seen]
+    return sorted(own, key=lambda test: (test != STRUCTURE and test not in near, ran.seconds[test]))
+
+
+def judge(root: Path, mutant: Mutant, ran: Map) -> Verdict:
+    """Run the tests on a mutant, up to the first that fails."""
+    began = time.monotonic()
+    target, result, log = root / installed(mutant.file), root / "killer.txt", root / "log.txt"
+    tests = [] if mutant.named else chosen_tests(mutant, ran)
+    if not (tests or mutant.named):
+        return Verdict(mutant, "", 0.0)
+    limit = 600.0 if mutant.named else 120 + 10 * sum(ran.seconds[test] for test in tests)
+    args = ["-x", *(mutant.tests if mutant.named else sorted({test.partition("::")[0] for test in tests}))]
+    result.unlink(missing_ok=True)
+    target.write_text(mutant.text, encoding="utf-8")
+    try:
+        code = run_tests(root, args, Judging(tests, result), log, limit, keep_compiled=False)
+    finally:
+        shutil.copy2(ROOT / mutant.file, target)
+    if code >= 2 and not result.is_file() and mutant.named:
+        raise SystemExit(f"{mutant.name}: {mutant.tests[0]} does not run:\n{log.read_text(encoding='utf-8')[-2000:]}")
+    killer = result.read_text(encoding="utf-8") if result.is_file() else "the tests cannot be loaded"
+    return Verdict(mutant, {0: "", -1: f"timeout ({limit:.0f} s)"}.get(code, killer), time.monotonic() - began)
+
+
+def share(killed: int, count: int) -> str:
+    """Killed of count with the exact (Clopper–Pearson) 95 % interval."""
+    from scipy.stats import binomtest
+
+    interval = binomtest(killed, count).proportion_ci(0.95)
+    return f"{killed}/{count} killed, {killed / count:.1%} (95 % interval {interval.low:.1%} to {interval.high:.1%})"
+
+
+def load_libraries() -> None:
+    """What the package loads, once for all mutants; not the package itself."""
+    import typer  # noqa: F401
+
+
+def main() -> None:
+    """Parse the command line, judge, tell."""
+    parser = argparse.ArgumentParser(description="Mutation testing on a sample.")
+    parser.add_argument("--sample", type=int, default=200, help="mutants, a quarter from each folder; 0 for none")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
+    parser.add_argument("--mutant", nargs="*", default=[], help="judge these again, by the names in survivors.diff")
+    options = parser.parse_args()
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the copy is removed
+    mirror = folder_of_files()
+    if mirror:
+        os.environ["NNSS_TEST_MIRROR"] = str(mirror)
+    load_libraries()
+    if options.mutant:
+        groups = {"named on the command line": [found_again(name) for name in options.mutant]}
+    else:
+        groups = {"the review's": named_mutants()}
+        for position, folder in enumerate(FOLDERS):
+            count = (options.sample + position) // len(FOLDERS)
+            groups |= {folder: sampled(folder, count, options.seed)} if count else {}
+    began = time.monotonic()
+    verdicts: dict[str, list[Verdict]] = {}
+    with tempfile.TemporaryDirectory(prefix="nnss-mutants-") as temporary:
+        root = Path(temporary).resolve()
+        copy_of_package(root)
+        ran = mapped(root) if any(not mutant.named for mutants in groups.values() for mutant in mutants) else Map()
+        for group, mutants in groups.items():
+            for mutant in mutants:
+                verdict = judge(root, mutant, ran)
+                verdicts.setdefault(group, []).append(verdict)
+                word = f"killed by {verdict.killer}" if verdict.killer else "SURVIVED"
+                print(f"{verdict.seconds:6.1f} s  {mutant.name}: {word}", flush=True)
+    survivors = [v.mutant for those in verdicts.values() for v in those if not v.killer]
+    KEPT.mkdir(parents=True, exist_ok=True)
+    lines = [line for mutant in survivors for line in (*mutant.diff(), "")]
+    (KEPT / "survivors.diff").write_text("\n".join(lines), encoding="utf-8")
+    print(f"\n{(time.monotonic() - began) / 60:.0f} min, seed {options.seed}")
+    for group, those in verdicts.items():
+        print(f"{group}: {share(sum(bool(v.killer) for v in those), len(those))}")
+    drawn = [v for group, those in verdicts.items() if group in FOLDERS for v in those]
+    if drawn:
+        late = sum(v.killer.startswith("timeout") for v in drawn)
+        print(f"in all: {share(sum(bool(v.killer) for v in drawn), len(drawn))}, {late} of them by a timeout")
+    print(f"survivors: {KEPT / 'survivors.diff'}")
+    if any(mutant.named for mutant in survivors):
+        raise SystemExit("a mutant of the review survived")
+
+
+if __name__ == "__main__":
+    main()
