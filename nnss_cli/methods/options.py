@@ -96,7 +96,6 @@ class Option:
         return self.kind(given)
 
 
-@cache
 def options_of(declared: type[Any]) -> dict[str, Option]:
     """The options that a frozen dataclass declares, by name.
 
@@ -106,12 +105,18 @@ def options_of(declared: type[Any]) -> dict[str, Option]:
     Raises:
         ValueError: it is no frozen dataclass, or a field has another type or no default.
     """
+    key: Any = declared  # mypy takes no type[Any] for hashable
+    return _declared(key)
+
+
+@cache
+def _declared(declared: type[Any]) -> dict[str, Option]:
     if not (isinstance(declared, type) and dataclasses.is_dataclass(declared)):
         raise ValueError(f"options: expected a frozen dataclass, found {declared!r:.80}")
     if not declared.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise ValueError(f"options: expected a frozen dataclass, found that {declared.__name__} is not frozen")
     hints = typing.get_type_hints(declared)
-    docs = field_docs(declared)
+    docs = _field_docs(declared)
     found = {}
     for each in dataclasses.fields(declared):
         if each.default is MISSING and each.default_factory is MISSING:
@@ -138,8 +143,7 @@ def _type(name: str, hint: Any) -> tuple[type, bool, tuple[Any, ...]]:
     raise ValueError(f"options: {name}: expected bool, int, float, str, a Literal or a tuple of one, found {hint}")
 
 
-@cache
-def field_docs(declared: type[Any]) -> dict[str, str]:
+def _field_docs(declared: type[Any]) -> dict[str, str]:
     """The docstring of each field of a dataclass, those of its bases included, where its source can be read."""
     texts: dict[str, str] = {}
     for base in reversed(declared.__mro__):
@@ -156,7 +160,7 @@ def field_docs(declared: type[Any]) -> dict[str, str]:
     return texts
 
 
-def chosen_options(declared: Any, overrides: Mapping[str, Any]) -> dict[str, Any]:
+def chosen_options(declared: type[Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Those of `overrides` that `declared` has and that are not None, in its types.
 
     Raises:

@@ -37,8 +37,7 @@ def sound_method(thing: Any) -> Method:
         raise ValueError("version: expected a word, found none")
     if thing.members and type(thing).combine is Method.combine:
         raise ValueError(f"{type(thing).__name__} has members and lacks combine")
-    declared: Any = thing.options
-    options_of(declared)
+    options_of(thing.options)
     for model, reader in thing.models.items():
         if not callable(reader):
             raise ValueError(f"models: expected a function that reads kind '{model}', found {reader!r:.80}")
