@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from typing import Annotated, Any
 
 from nnss_cli.machine import prepare
@@ -11,9 +12,11 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import ablate, certify, compare, fetch, inspect, order, report, train, tune
+from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, train, tune
+from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
+from nnss_cli.plugins import PluginWarning
 from nnss_cli.version import __version__
 
 app = typer.Typer(
@@ -34,8 +37,9 @@ for _name, _module, _example in (
     ("inspect", inspect, "nnss inspect plant.csv --inputs u --outputs y --ts 0.1 --write plant.toml"),
     ("order", order, "nnss order twotank --max-order 8"),
     ("report", report, "nnss report --out results"),
+    ("methods", methods, "nnss methods --plugin my_method.py"),
 ):
-    app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(_module.command)
+    app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(with_plugins(_module.command))
 
 
 def _show_version(asked: bool) -> None:
@@ -60,7 +64,9 @@ UsageError: Any = typer.BadParameter.__bases__[0]  # click's or typer's own, whi
 def main(args: list[str] | None = None) -> None:
     """Run the command line; every error that the user can mend is one line and exit code 2."""
     try:
-        code = app(args, prog_name="nnss", standalone_mode=False)
+        with warnings.catch_warnings():
+            _show_plugin_warnings_on_one_line()
+            code = app(args, prog_name="nnss", standalone_mode=False)
     except UsageError as error:
         _fail(_usage_message(error))
     except InputError as error:
@@ -74,6 +80,18 @@ def main(args: list[str] | None = None) -> None:
             raise
         _fail(f"'{error.filename}': {error.strerror}; check the path, its permissions and the free space")
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _show_plugin_warnings_on_one_line() -> None:
+    usual = warnings.showwarning
+
+    def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, PluginWarning):
+            print(f"nnss: passed over: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *where, **more)
+
+    warnings.showwarning = show
 
 
 def _usage_message(error: Any) -> str:

@@ -12,7 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
-from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
+from nnss_cli.datasets.record import Dataset
+
+pytest.register_assert_rewrite("nnss_cli.testing")
+from nnss_cli.testing import linear_system, small_dataset
 
 sys.path.insert(0, str(Path(__file__).parent))  # tests are imported without being a package
 from real_files import folder_of_files
@@ -67,16 +70,6 @@ def nnss(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
     return run
 
 
-def linear_system(
-    n: int, r: int, m: int, seed: int, radius: float = 0.9
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A random stable system A, B, C, D = 0 with spectral radius `radius`."""
-    random = np.random.default_rng(seed)
-    A = random.standard_normal((n, n))
-    A *= radius / np.abs(np.linalg.eigvals(A)).max()
-    return A, random.standard_normal((n, r)), random.standard_normal((m, n)), np.zeros((m, r))
-
-
 @pytest.fixture
 def system() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """`linear_system`."""
@@ -85,22 +78,5 @@ def system() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 
 @pytest.fixture
 def small_data() -> Callable[..., Dataset]:
-    """A short linear record with noise, as a dataset of its own."""
-
-    def make(r: int = 1, m: int = 1, K: int = 150, seed: int = 0) -> Dataset:
-        from nnss_cli.baselines.statespace import LinearStateSpace
-
-        plant = LinearStateSpace(*linear_system(2, r, m, seed), 0.5)
-        random = np.random.default_rng(seed)
-        u = random.standard_normal((K, r))
-        y = plant.simulate(u, np.ones(2))[0] + 0.01 * random.standard_normal((K, m)) + 3.0
-        record = Record(u, y, 0.5)
-        third = K // 3
-        channels = Channels(
-            tuple(f"u{i + 1}" for i in range(r)), tuple(f"y{i + 1}" for i in range(m)), ("V",) * r, ("m",) * m
-        )
-        train = (record[:third],)
-        fitting = FittingData("small", "strict", train, (record[third : 2 * third],), Scaling.of(train), channels)
-        return Dataset(fitting, {"test": (record[2 * third :],)})
-
-    return make
+    """`small_dataset`."""
+    return small_dataset

@@ -31,6 +31,7 @@ def command(
     from nnss_cli.datasets.download import cache_folder, fetch, install, is_cached
 
     if show:
+        entries = list(BENCHMARKS.all_usable().values())
         rows = [
             {
                 "dataset": entry.name,
@@ -38,13 +39,13 @@ def command(
                 "here": "built in" if not entry.sources else "yes" if is_cached(entry) else "no",
                 "orders": " ".join(map(str, entry.orders)),
             }
-            for entry in BENCHMARKS.values()
+            for entry in entries
         ]
         print_rows(rows, f"Datasets (cache: {cache_folder()})", text_columns=3)
-        for entry in BENCHMARKS.values():
+        for entry in entries:
             console.print(f"Cite for {entry.name}: {entry.citation}", soft_wrap=True, highlight=False)
         return
-    names = list(BENCHMARKS) if everything else list(datasets or [])
+    names = list(BENCHMARKS.all_usable()) if everything else list(datasets or [])
     if not names:
         raise InputError(f"name a dataset ({', '.join(BENCHMARKS)}), or use --all or --list")
     entries = [benchmark(name) for name in names]

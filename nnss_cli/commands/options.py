@@ -28,6 +28,17 @@ def _method_names(incomplete: str) -> list[str]:
     return [name for name in METHODS if name.startswith(incomplete)]
 
 
+def _assignments(incomplete: str) -> list[str]:
+    """Shell completion of METHOD.OPTION= for --set."""
+    from nnss_cli.methods import METHODS
+    from nnss_cli.methods.options import options_of
+
+    name, dot, _ = incomplete.partition(".")
+    method = METHODS.usable(name) if dot else None
+    found = [f"{name}.{option}=" for option in options_of(method.options)] if method else [f"{n}." for n in METHODS]
+    return [text for text in found if text.startswith(incomplete)]
+
+
 DatasetName = Annotated[
     list[str],
     typer.Argument(
@@ -75,6 +86,21 @@ Mirror = Annotated[
     ),
 ]
 Offline = Annotated[bool, typer.Option("--offline", help="Touch no network: use the cache or a mirror folder.")]
+PluginFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--plugin", metavar="FILE.py …", help="Files with a METHOD or a BENCHMARK of your own: their code is executed."
+    ),
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="METHOD.OPTION=VALUE …",
+        help="Options of one method; `nnss methods` lists them.",
+        autocompletion=_assignments,
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 
 _TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the recipe's)"
@@ -131,38 +157,78 @@ FIT_OPTIONS: dict[str, Any] = {
 
 
 def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command every option of FIT_OPTIONS; its parameter `changes` gets those that the user set."""
-    own = inspect.signature(command, eval_str=True)
-    parameters = [parameter for name, parameter in own.parameters.items() if name != "changes"]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-        for name, annotation in FIT_OPTIONS.items()
-    ]
+    """Give a command --set and every option of FIT_OPTIONS; its parameter `changes` gets those that the user set.
+
+    They are for the methods that the command's parameter `methods` or `method` names, or for NN-SS.
+    """
 
     def wrapper(**given: Any) -> None:
-        changes = {name: given.pop(name) for name in FIT_OPTIONS}
-        if changes["engine"] == "auto":
-            changes["engine"] = None
-        command(
-            **given,
-            changes={
+        flags = {name: given.pop(name) for name in FIT_OPTIONS}
+        assignments = given.pop("assignments") or []
+        from nnss_cli.commands.changes import gathered
+
+        changes = gathered(
+            {
                 name: tuple(value) if isinstance(value, list) else value
-                for name, value in changes.items()
+                for name, value in flags.items()
                 if value is not None and value != []
             },
+            assignments,
+            (given["methods"] or []) if "methods" in given else [given.get("method", "nnss")],
+            {name: _flag(name) for name in FIT_OPTIONS},
         )
+        command(**given, changes=changes)
 
+    return _with_parameters(command, wrapper, {"assignments": Assignments, **FIT_OPTIONS}, without="changes")
+
+
+def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --plugin: the files are in use while it runs."""
+
+    def wrapper(plugin: list[Path] | None = None, **given: Any) -> None:
+        from nnss_cli.plugins import read_source, use
+
+        use([read_source(path) for path in plugin or ()])
+        if plugin:
+            from nnss_cli.datasets.catalog import BENCHMARKS
+            from nnss_cli.methods import METHODS
+
+            METHODS.of_files()
+            BENCHMARKS.of_files()
+        command(**given)
+
+    return _with_parameters(command, wrapper, {"plugin": PluginFiles})
+
+
+def _with_parameters(
+    command: Callable[..., None], wrapper: Callable[..., None], added: dict[str, Any], without: str = ""
+) -> Callable[..., None]:
+    """`wrapper` in the command's place, with parameters `added` to it: annotation by name."""
+    own = inspect.signature(command, eval_str=True)
+    parameters = [parameter for name, parameter in own.parameters.items() if name != without]
+    parameters += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+        for name, annotation in added.items()
+    ]
     wrapper.__doc__ = command.__doc__
     wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
     wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapper
 
 
+def _flag(name: str) -> str:
+    return str(get_args(FIT_OPTIONS[name])[1].default)  # where typer keeps the first name
+
+
 def as_command_line(settings: dict[str, Any]) -> str:
     """The options that give these settings, in full precision: what `with_fit_options` would turn back into them."""
-    parts = []
+    parts: list[str] = []
     for name, value in settings.items():
-        option = get_args(FIT_OPTIONS[name])[1].default  # where typer keeps the first name
+        if name not in FIT_OPTIONS:
+            text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            parts += ["--set", f"nnss.{name}={text}"]
+            continue
+        option = _flag(name)
         if isinstance(value, bool):
             parts += [option] * value
         else:

@@ -11,6 +11,7 @@ from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, records_of
 from nnss_cli.experiment.sweep import Event, plan, sweep
 from nnss_cli.methods import METHODS, Settings, load_model
+from nnss_cli.methods.options import for_method
 
 STRESS = 20_000  # steps of a run's stress test
 
@@ -74,9 +75,11 @@ def ablate(
     if study not in STUDIES:
         raise unknown("study", study, STUDIES)
     found = []
+    method = METHODS["nnss"]
     for name, change in STUDIES[study].items():
         own = variant_store(store, study, name)
-        todo = plan(own, dataset, [METHODS["nnss"]], orders, seeds, overrides | change, force=False).todo
+        changed = for_method(overrides, method.name) | change
+        todo = plan(own, dataset, [method], orders, seeds, changed, force=False).todo
         on_plan(name, len(todo))
         sweep(todo, dataset, own, jobs, on_event, on_result)
         wanted = set(seeds)

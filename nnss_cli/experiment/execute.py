@@ -25,21 +25,35 @@ LIBRARIES = ("numpy", "scipy", "torch", "numba")
 NUMERICAL = (ValueError, ArithmeticError, np.linalg.LinAlgError, RuntimeError)
 
 
-def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallback | None = None) -> RunResult:
-    """Fit, simulate, score and write one run. Numerical failure is a result, not an exception."""
+def execute(
+    spec: RunSpec,
+    dataset: Dataset,
+    store: Store,
+    on_epoch: EpochCallback | None = None,
+    method: Method | None = None,
+) -> RunResult:
+    """Fit, simulate, score and write one run. Numerical failure is a result, not an exception.
+
+    Args:
+        spec: which run.
+        dataset: what is fitted and scored.
+        store: where it is kept.
+        on_epoch: hears of each epoch.
+        method: what fits; the registered one of the run's method unless given.
+    """
     store.clear(spec)
     status: Status = "ok"
     reason = ""
     scores: list[Score] = []
     signals: Tensors = {}
     fit = Fit(None)
-    method = METHODS[spec.method]
+    method = method or METHODS[spec.method]
     method.prepare(spec.settings)
     trained = 0.0  # seconds that the members of a combination have taken
     started = time.perf_counter()
     try:
         if "members" in spec.settings:
-            members = _members(spec, store)
+            members = _members(method, spec, store)
             fit = combined(method, members, dataset, store)
             trained = sum(member.fit_seconds for member in members)
         else:
@@ -73,9 +87,9 @@ def execute(spec: RunSpec, dataset: Dataset, store: Store, on_epoch: EpochCallba
     return result
 
 
-def _members(spec: RunSpec, store: Store) -> list[RunResult]:
+def _members(method: Method, spec: RunSpec, store: Store) -> list[RunResult]:
     """The finished runs that a combination was planned with, by seed."""
-    wanted = {(METHODS[spec.method].members, spec.order, seed) for seed in spec.settings["members"]}
+    wanted = {(method.members, spec.order, seed) for seed in spec.settings["members"]}
     return [r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) in wanted]
 
 

@@ -18,7 +18,9 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import LIBRARIES, execute, provenance
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
-from nnss_cli.methods import METHODS, Method, Settings
+from nnss_cli.methods import METHODS, Method, Settings, version_of
+from nnss_cli.methods.options import for_method
+from nnss_cli.plugins import Source, in_use, use
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,15 @@ def plan(
     A combination brings its members along: the seeds asked for, and those on disk with the same options, so
     that it never stands beside rows of more seeds than it was made of. It is made again when they change.
 
+    Args:
+        store: where they are kept.
+        dataset: what is fitted.
+        methods: which methods.
+        orders: numbers of states n.
+        seeds: of methods that have one.
+        overrides: options by name, for every method that has them, or by 'METHOD.OPTION' for one.
+        force: run again what is finished.
+
     Raises:
         InputError: an order or option is out of range, or there are runs with other options, data or versions
             that must not be mixed with these.
@@ -96,8 +107,10 @@ def plan(
     done: list[RunResult] = []
 
     def first(method: Method, order: int) -> RunSpec:
-        settings = method.settings(dataset.fitting, order, overrides)
-        return RunSpec(store.dataset, store.protocol, method.name, order, 0, settings, data, method.version)
+        # a combination is of runs with its members' options
+        given = for_method(overrides, method.members, method.name)
+        settings = method.settings(dataset.fitting, order, given)
+        return RunSpec(store.dataset, store.protocol, method.name, order, 0, settings, data, version_of(method))
 
     members = [METHODS[method.members] for method in methods if method.members]
     methods = [*(method for method in members if method not in methods), *methods]
@@ -181,7 +194,7 @@ def _side_by_side(
     events: SimpleQueue[Event | None] = context.SimpleQueue()
     listener = threading.Thread(target=_listen, args=(events, on_event), daemon=True)
     listener.start()
-    pool = ProcessPoolExecutor(min(jobs, len(specs)), context, initializer=_start_worker, initargs=(events,))
+    pool = ProcessPoolExecutor(min(jobs, len(specs)), context, initializer=_start_worker, initargs=(events, in_use()))
     try:
         pending = {pool.submit(_work, spec, dataset, store) for spec in specs}
         while pending:
@@ -215,9 +228,10 @@ def _listen(events: SimpleQueue[Any], on_event: Callable[[Event], None]) -> None
 _events: SimpleQueue[Any]  # of a worker process
 
 
-def _start_worker(events: SimpleQueue[Any]) -> None:
+def _start_worker(events: SimpleQueue[Any], plugins: tuple[Source, ...]) -> None:
     global _events
     _events = events
+    use(plugins)
     # Ctrl-C reaches the whole group: a worker just ends, the parent tells the user.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.methods import METHODS, Settings
+from nnss_cli.methods.options import for_method
 
 if TYPE_CHECKING:
     import optuna
@@ -109,6 +110,7 @@ def tune(
     if sampler not in SAMPLERS:
         raise unknown("sampler", sampler, SAMPLERS)
     method = METHODS["nnss"]
+    overrides = for_method(overrides, method.name)
     shortest = min(len(record) for record in data.train)
     if {"hidden", "encoder", "window", "consistency", "learning_rate", "batch"} <= overrides.keys():
         raise InputError("tune: every option that it searches is given; leave one of them out, or use 'nnss train'")

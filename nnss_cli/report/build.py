@@ -190,7 +190,7 @@ def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str
 
 def _section(store: Store, files: Sequence[Path], out: Path) -> str:
     results = store.results()
-    entry = BENCHMARKS.get(store.dataset)
+    entry = BENCHMARKS.usable(store.dataset)
     table = (store.folder / "rmse.md").read_text(encoding="utf-8")
     parts = [f"## {store.dataset}, protocol `{store.protocol}`"]
     if entry:

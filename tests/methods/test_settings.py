@@ -1,0 +1,46 @@
+"""What identifies a run: the settings of every built-in method, to the letter, as runs on disk hold them."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from nnss_cli.datasets.catalog import load
+
+from nnss_cli.methods import METHODS
+
+GOLDEN = Path(__file__).with_name("golden_settings.json")
+CHANGES: dict[str, dict[str, Any]] = {
+    "none": {},
+    "shared": {"epochs": 7, "window": 40, "learning_rate": 0.01, "patience_unit": "steps", "gamma": 0.9},
+    "of nnss": {"recipe": "paper", "hidden": (5, 6), "consistency": 0.5, "engine": "reference", "fixed_encoder": True},
+    "of the others": {"horizon": "matlab", "kernel": "dc", "feedthrough": True, "start": "random"},
+}
+
+
+def settings_of_all() -> dict[str, dict[str, Any]]:
+    """Method, protocol, order and changes → settings as JSON."""
+    found = {}
+    for protocol in ("paper", "strict"):
+        data = load("twotank-sim", protocol).fitting
+        for name in ("nnss", "nnss-ensemble", "nnss-paper", "simba", "n4sid", "ssest", "ssregest"):
+            for order in (2, 3):
+                for label, changes in CHANGES.items():
+                    settings = METHODS[name].settings(data, order, changes)
+                    found[f"{name}, {protocol}, order {order}, {label}"] = json.loads(json.dumps(settings))
+            papers = METHODS[name].paper_settings(data.presets, 2)
+            found[f"{name}, {protocol}, as in the paper"] = json.loads(json.dumps(papers))
+    return found
+
+
+def test_settings_are_those_of_the_runs_on_disk() -> None:
+    """Made before methods declared options (e12defe) by `python tests/methods/test_settings.py`."""
+    assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
+
+
+def test_the_order_of_the_methods_is_that_of_the_tables() -> None:
+    assert list(METHODS)[:7] == ["nnss", "nnss-ensemble", "nnss-paper", "simba", "n4sid", "ssest", "ssregest"]
+
+
+if __name__ == "__main__":
+    sys.exit(GOLDEN.write_text(json.dumps(settings_of_all(), indent=0, sort_keys=True) + "\n", encoding="utf-8") < 1)

@@ -1,0 +1,62 @@
+"""The README's example, as another package that is really installed."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def readme_blocks() -> dict[str, str]:
+    """File name → contents, of the section about plug-ins."""
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Adding a method")[2].partition("\n## ")[0]
+    blocks = re.findall(r"```(python|toml)\n(.*?)```", section, re.DOTALL)
+    return {
+        "pyproject.toml" if language == "toml" else re.match(r'"""(\S+)"""', text)[1]: text for language, text in blocks
+    }
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package installed by pip, to be put on the path."""
+    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("site")
+    for name in ("pyproject.toml", "their_package.py"):
+        (source / name).write_text(readme_blocks()[name], encoding="utf-8")
+    pip = (sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index")
+    subprocess.run([*pip, "--target", target, source], check=True, capture_output=True)
+    assert list(target.glob("their_package-1.2.dist-info"))
+    return target
+
+
+def run(installed: Path, work: Path, *args: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """A Python with the package on its path."""
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    done = subprocess.run([sys.executable, *args], cwd=work, env=environment, capture_output=True, text=True)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+def test_the_readmes_method_from_another_package(installed: Path, tmp_path: Path) -> None:
+    compare = ("-m", "nnss_cli", "compare", "twotank-sim", "--methods", "n4sid", "their-method", "--orders", "2")
+    run(installed, tmp_path, *compare, "--set", "their-method.past=12", "--jobs", "2")
+    table = pd.read_csv(tmp_path / "results/twotank-sim/paper/rmse.csv")
+    errors = table[table["split"] == "test"].set_index("method")["rmse"]
+    assert set(errors.index) == {"n4sid", "their-method"}
+    assert errors["their-method"] < 2 * errors["n4sid"]
+    kept = (tmp_path / "results/twotank-sim/paper/runs/their-method-n2-s0/run.json").read_text()
+    assert '"version": "their-package 1.2; 1"' in kept
+    assert '"past": 12' in kept
+    listed = run(installed, tmp_path, "-m", "nnss_cli", "methods").stdout
+    assert "package their-package 1.2" in listed
+    assert "--set their-method.past=…  Samples before k" in listed
+
+
+def test_the_readmes_method_obeys_the_laws(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "test_their_package.py").write_text(readme_blocks()["test_their_package.py"], encoding="utf-8")
+    done = run(installed, tmp_path, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", str(tmp_path))
+    assert re.search(r"\b2[0-9] passed", done.stdout), done.stdout
