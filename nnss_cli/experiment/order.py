@@ -9,7 +9,7 @@ from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import simulation_rms
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.methods import subspace_model
+from nnss_cli.methods.linear import subspace_model
 
 MARGIN = 1.05  # an order is good enough when its validation error is within 5 % of the lowest
 
