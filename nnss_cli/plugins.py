@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -144,7 +144,6 @@ class Registry(Mapping[str, T]):
         self.attributes = attributes
         self.built_in: dict[str, T] = {_name(thing): thing for thing in built_in}
         self._check = check
-        self._outcomes: dict[metadata.EntryPoint, T | InputError] = {}
         self._seen: tuple[object, dict[str, list[_Offer[T]]]] = ((), {})
 
     def __getitem__(self, name: str) -> T:
@@ -197,7 +196,7 @@ class Registry(Mapping[str, T]):
 
     def _offers(self, name: str) -> list[_Offer[T]]:
         own = [_Offer(BUILT_IN, lambda: self.built_in[name])] if name in self.built_in else []
-        return [*own, *self._of_files().get(name, []), *map(self._packaged, self._installed.get(name, []))]
+        return [*own, *self._of_files().get(name, []), *self._installed.get(name, [])]
 
     def _of_files(self) -> dict[str, list[_Offer[T]]]:
         if self._seen[0] is not _files:
@@ -215,25 +214,27 @@ class Registry(Mapping[str, T]):
         return self._seen[1]
 
     @cached_property
-    def _installed(self) -> dict[str, list[metadata.EntryPoint]]:
-        found: dict[str, list[metadata.EntryPoint]] = {}
+    def _installed(self) -> dict[str, list[_Offer[T]]]:
+        found: dict[str, list[_Offer[T]]] = {}
         for point in metadata.entry_points(group=self.group):
-            found.setdefault(point.name, []).append(point)
-        return found
+            found.setdefault(point.name, []).append(self._packaged(point))
+        return {name: sorted(offers, key=lambda offer: offer.origin.title) for name, offers in found.items()}
 
     def _packaged(self, point: metadata.EntryPoint) -> _Offer[T]:
         stamp = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
 
+        @cache
+        def outcome() -> T | InputError:  # a failure is kept as well: it is not tried again at every look-up
+            try:
+                return self._imported(point, f"'{point.name}' of package {stamp}")
+            except InputError as error:
+                return error
+
         def give() -> T:
-            if point not in self._outcomes:
-                try:
-                    self._outcomes[point] = self._imported(point, f"'{point.name}' of package {stamp}")
-                except InputError as error:
-                    self._outcomes[point] = error
-            outcome = self._outcomes[point]
-            if isinstance(outcome, InputError):
-                raise outcome
-            return outcome
+            found = outcome()
+            if isinstance(found, InputError):
+                raise found
+            return found
 
         return _Offer(Origin(f"package {stamp}", stamp), give)
 

@@ -85,6 +85,28 @@ def test_commands_hold_no_numerics_and_report_no_torch() -> None:
         assert not roots & {"pickle", "joblib", "dill", "shelve"}, f"{path}: files are data, never code"
 
 
+def test_experiments_know_no_concrete_method() -> None:
+    """Neither by import nor by `isinstance`: what they need to know of a method, the protocol says."""
+    from nnss_cli.methods import METHODS
+
+    concrete = {type(method).__module__ for method in METHODS.built_in.values()}
+    assert len(concrete) == 6
+    for layer, path in sources():
+        if layer != "experiment":
+            continue
+        assert not [name for name in imports(path) if any(name.startswith(f"{module}.") for module in concrete)], path
+        of_methods = {
+            alias.asname or alias.name
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("nnss_cli.methods")
+            for alias in node.names
+        }
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("isinstance", "issubclass"):
+                asked = {name.id for name in ast.walk(node.args[1]) if isinstance(name, ast.Name)}
+                assert not asked & of_methods, f"{path}:{node.lineno}"
+
+
 def loaded_by(*args: str) -> set[str]:
     code = (
         f"import sys; sys.argv[1:] = {list(args)!r}\n"
