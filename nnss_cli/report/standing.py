@@ -40,7 +40,7 @@ Errors are RMSE/σ, mean over outputs, σ as the protocol scales; medians over s
 A ratio below 1 says that NN-SS has the lower error. Its interval is over seeds: how far the ratio depends on initial
 weights and shuffling, *on this record and split*. It says nothing about another record, and each interval stands by
 itself. By order statistics it holds at 95 % or more from seven seeds on; with fewer, at the share given. A method that
-fails on more than {FAILED_SHARE:.0%} of its runs has no ratio and no rank.
+fails on more than {100 * FAILED_SHARE:.0f} % of its runs has no ratio and no rank.
 Combinations of other runs are no competitors of these and stand apart."""
 
 
