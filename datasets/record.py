@@ -172,8 +172,13 @@ def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     constant = highest - lowest <= ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
     # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
     mean = np.where(constant, values[0], values.mean(axis=0))
-    deviation = values.std(axis=0, ddof=1 if len(values) > 1 else 0)
-    return mean, np.where(constant | (deviation == 0), 1.0, deviation)  # 0 where squares underflow
+    freedom = 1 if len(values) > 1 else 0
+    deviation = values.std(axis=0, ddof=freedom)
+    lost = ~constant & (deviation == 0)  # squares of samples below 1e-162 underflow: their unit is the range
+    if lost.any():
+        span = np.where(lost, highest - lowest, 1.0)
+        deviation = np.where(lost, span * ((values - lowest) / span).std(axis=0, ddof=freedom), deviation)
+    return mean, np.where(constant | (deviation == 0), 1.0, deviation)
 
 
 def _kind(record: Record) -> str:
