@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
 from nnss_cli.datasets.catalog import BENCHMARKS
 
 from nnss_cli.errors import InputError
