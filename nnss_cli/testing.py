@@ -119,7 +119,7 @@ class MethodLaws:
         """Name, options, kinds of model: what a plug-in is refused for."""
         assert sound_method(subject) is subject
 
-    def test_settings_are_plain_data_and_hold_every_option(self, subject: Method) -> None:
+    def test_settings_are_plain_data_and_repeat(self, subject: Method) -> None:
         """They are kept as JSON and compared with those of the next call."""
         data = small_dataset(K=300).fitting
         settings = subject.settings(data, 2, self.overrides)

@@ -37,7 +37,7 @@ def test_values_after_one_option_are_repeated(args: str, expected: str) -> None:
 
 def test_version_and_help(nnss: Callable) -> None:
     assert nnss("--version").out.strip() == f"nnss {__version__}"
-    for command in ("fetch", "train", "compare", "tune", "ablate", "certify", "order", "report"):
+    for command in ("fetch", "train", "compare", "tune", "ablate", "certify", "order", "report", "methods"):
         outcome = nnss(command, "--help")
         assert outcome.code == 0
         assert "Example: nnss " + command in " ".join(outcome.out.split())

@@ -38,6 +38,12 @@ def test_settings_are_those_of_the_runs_on_disk() -> None:
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
 
+def test_the_automatic_engine_is_the_recipes() -> None:
+    data = load("twotank-sim").fitting
+    for name in ("nnss", "nnss-paper"):
+        assert METHODS[name].settings(data, 2, {"engine": "auto"}) == METHODS[name].settings(data, 2, {})
+
+
 def test_the_order_of_the_methods_is_that_of_the_tables() -> None:
     assert list(METHODS)[:7] == ["nnss", "nnss-ensemble", "nnss-paper", "simba", "n4sid", "ssest", "ssregest"]
 

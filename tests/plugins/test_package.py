@@ -4,10 +4,19 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+from nnss_cli.baselines.linear_model import LinearModel
+from nnss_cli.baselines.statespace import LinearStateSpace
+
+from nnss_cli.methods import METHODS
+from nnss_cli.testing import MethodLaws, linear_system, small_dataset
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,3 +69,48 @@ def test_the_readmes_method_obeys_the_laws(installed: Path, tmp_path: Path) -> N
     (tmp_path / "test_their_package.py").write_text(readme_blocks()["test_their_package.py"], encoding="utf-8")
     done = run(installed, tmp_path, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", str(tmp_path))
     assert re.search(r"\b2[0-9] passed", done.stdout), done.stdout
+
+
+def readme_module() -> Any:
+    """The README's method, executed here: no package, not registered."""
+    module = ModuleType("readme_method")
+    sys.modules[module.__name__] = module
+    exec(readme_blocks()["their_package.py"], vars(module))
+    return module
+
+
+TheirMethod = readme_module().TheirMethod
+
+
+class OwnKind(LinearModel):
+    """A linear model that nnss has no reader for."""
+
+    KIND = "their-kind"
+
+
+class Unregistered(TheirMethod):
+    """As an author has it before there is an entry point, with a kind of model of its own."""
+
+    models = {"their-kind": OwnKind.from_file}  # noqa: RUF012 - never changed
+
+    def fit(self, *args: Any) -> Any:
+        fit = super().fit(*args)
+        return replace(fit, model=OwnKind(**vars(fit.model)))
+
+
+class TestUnregistered(MethodLaws):
+    """The laws need no registration."""
+
+    method = Unregistered()
+
+    def test_it_is_not_registered(self) -> None:
+        assert "their-method" not in METHODS
+
+
+def test_the_readmes_method_finds_the_poles_of_a_linear_system() -> None:
+    data = small_dataset(2, 2, K=9000, seed=3).fitting
+    method = TheirMethod()
+    found = method.fit(data, 2, 0, method.settings(data, 2, {}), None).model.system
+    assert isinstance(found, LinearStateSpace)
+    poles = np.linalg.eigvals(linear_system(2, 2, 2, 3)[0])
+    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(found.A)), np.sort_complex(poles), atol=0.01)
