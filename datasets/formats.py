@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from nnss_cli.datasets.arrayfile import as_table, hdf5_variables, is_hdf5, mat_variables, npz_variables
 from nnss_cli.datasets.record import FloatArray
-from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown
+from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown, shown_path
 
 from nnss_cli.errors import InputError
 
@@ -45,7 +45,7 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     suffix = Path(name).suffix
     if not path.exists():
         near = get_close_matches(path.name, _neighbours(path), 1)
-        raise InputError(f"no such file: {shown(str(path))}" + (f"; did you mean '{near[0]}'?" if near else ""))
+        raise InputError(f"no such file: {shown_path(path)}" + (f"; did you mean '{near[0]}'?" if near else ""))
     if not path.is_file():
         raise InputError(
             f"'{path}' is {'a folder' if path.is_dir() else 'not a regular file'}: expected a file of samples"

@@ -79,6 +79,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:76]}…'"
 
 
+def shown_path(path: object) -> str:
+    """A path for a message, likewise; of a long one the end, where the file's name stands."""
+    text = repr(str(path))
+    return text if len(text) <= 80 else f"'…{text[-76:]}"
+
+
 def header(row: Sequence[object], source: str, number: int) -> tuple[str, ...] | None:
     """The names in the first row of a table; None if it holds samples. A nameless column is named by its number.
 

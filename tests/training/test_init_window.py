@@ -99,7 +99,7 @@ def test_ssest_and_the_order_table_choose_by_the_score(windowed: Dataset, monkey
     METHODS["ssest"].fit(windowed.fitting, 2, 0, {"feedthrough": False}, None)
     METHODS["nnss"].fit(windowed.fitting, 2, 0, METHODS["nnss"].settings(windowed.fitting, 2, QUICK), None)
     assert {w for of_val, w in seen if of_val} == {W}
-    row = order_table(windowed.fitting, 2)[1]
+    row = order_table(windowed.fitting, 2, "auto")[1]
     train, _ = windowed.fitting.normalised()
     model, _ = n4sid_auto(train, (val,), 2, W)
     assert (row.train, row.val) == (simulation_rms(model, train, W), simulation_rms(model, (val,), W))
