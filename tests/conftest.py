@@ -5,9 +5,10 @@ from nnss_cli.machine import prepare
 prepare()  # as the command line does: results must not depend on the number of BLAS threads
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,24 @@ def mirror() -> Path:
     if REAL_FILES is None:
         pytest.skip("the real data files are not here: set NNSS_TEST_MIRROR to a folder that has them")
     return REAL_FILES
+
+
+@pytest.fixture
+def whole() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Blocks of an engine's sensitivities as one: errors (q,), derivatives (q, p + N n) by weights and x(0), states."""
+
+    def joined(blocks: Iterable[Any], windows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found = list(blocks)
+        p, n = found[0].by_weights.shape[1], found[0].by_state.shape[1]
+        J = np.zeros((sum(len(block.errors) for block in found), p + windows * n))
+        row = 0
+        for block in found:
+            rows = slice(row, row := row + len(block.errors))
+            J[rows, :p] = block.by_weights
+            J[rows, p + block.window * n : p + (block.window + 1) * n] = block.by_state
+        return np.concatenate([block.errors for block in found]), J, np.concatenate([block.x for block in found])
+
+    return joined
 
 
 @dataclass(frozen=True)

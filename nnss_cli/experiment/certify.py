@@ -82,6 +82,8 @@ class Certificate:
     """sup‖B(ρ)‖₂ from the weights."""
     C_bound: float
     """sup‖C(ρ)‖₂ from the weights."""
+    D_bound: float
+    """sup‖D(ρ)‖₂ from the weights; 0 without feedthrough."""
     input_bound: float
     """sup‖u‖ of the box of the records' inputs, at its outermost corner; any u of this norm is covered, 0 too."""
     lyapunov: str
@@ -151,7 +153,7 @@ def certify(
     stress = _stress(system, worst, low, high, *start, steps)
     seconds = time.perf_counter() - started
     input_bound = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
-    B_bound, C_bound = system.output_bounds()
+    B_bound, C_bound, D_bound = system.output_bounds()
     bound = invariant = None
     holds_for, limit = "", math.inf
     if isinstance(system, _Neural) and system.stability == "contraction" and system.gamma < 1:
@@ -171,7 +173,7 @@ def certify(
         broken += [f"state {x:.4g} {where}, promised at most {bound:.4g}" for x, where in reached if not x <= limit]
     return Certificate(
         system.kind, system.stability, system.gamma, len(everything), holds_for, radius, state, largest_initial,
-        box_radius, box_norm, bound, invariant, B_bound, C_bound, input_bound, lyapunov, rate, stress, seconds,
+        box_radius, box_norm, bound, invariant, B_bound, C_bound, D_bound, input_bound, lyapunov, rate, stress, seconds,
         tuple(broken),
     )  # fmt: skip
 
@@ -249,7 +251,7 @@ class _Neural:
         return finite if len(finite) else rho[:1]
 
     def torch_matrices(self, rho: torch.Tensor) -> torch.Tensor:
-        W, V, _, _ = self.model.matrices(rho)
+        W, V, *_ = self.model.matrices(rho)
         return self.model.state_matrix(W, V)
 
     @torch.no_grad()
@@ -270,17 +272,18 @@ class _Neural:
         eta = (a.hidden[-1] + 2 * a.order + a.inputs + 2) * float(np.finfo(a.dtype).eps)
         return eta / max(1 - self.gamma * (1 + eta), eta)
 
-    def output_bounds(self) -> tuple[float, float]:
-        """sup‖B‖₂ and sup‖C‖₂: entry by entry over all outputs in [0, 1] of the last sigmoid layer."""
+    def output_bounds(self) -> tuple[float, float, float]:
+        """sup‖B‖₂, sup‖C‖₂ and sup‖D‖₂: entry by entry over all outputs in [0, 1] of the last sigmoid layer."""
         a = self.architecture
         layer: Any = self.model.generator[-1]
         weight, bias = (tensor.detach().numpy().astype(np.float64) for tensor in (layer.weight, layer.bias))
         highest = bias + np.maximum(weight, 0).sum(axis=1)
         lowest = bias + np.minimum(weight, 0).sum(axis=1)
         largest = np.maximum(np.abs(highest), np.abs(lowest))
-        n, r, m = a.order, a.inputs, a.outputs
-        B, C = largest[5 * n * n : 5 * n * n + n * r], largest[5 * n * n + n * r :]
-        return float(np.linalg.norm(B.reshape(n, r), 2)), float(np.linalg.norm(C.reshape(m, n), 2))
+        _, _, B, C, D = np.split(largest, np.cumsum(a.parameter_sizes[:-1]))
+        B, C = B.reshape(a.order, a.inputs), C.reshape(a.outputs, a.order)
+        D = D.reshape(a.outputs, a.inputs) if a.feedthrough else np.zeros((1, 1))
+        return float(np.linalg.norm(B, 2)), float(np.linalg.norm(C, 2)), float(np.linalg.norm(D, 2))
 
     def run(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self.weights.free_runs(u, y0, x0)
@@ -336,8 +339,9 @@ class _Linear:
     def initial_state(self, record: Record) -> FloatArray:
         return self.system.state_from_output(record.y[0], record.u[0])
 
-    def output_bounds(self) -> tuple[float, float]:
-        return float(np.linalg.norm(self.system.B, 2)), float(np.linalg.norm(self.system.C, 2))
+    def output_bounds(self) -> tuple[float, float, float]:
+        B, C, D = (float(np.linalg.norm(part, 2)) for part in (self.system.B, self.system.C, self.system.D))
+        return B, C, D
 
     def run(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         del y0

@@ -36,6 +36,8 @@ class Architecture:
     """float32 or float64."""
     stability: str = "schur"
     """How A follows from the generator: schur, contraction or none."""
+    feedthrough: bool = False
+    """Whether there is a D(ρ): y = C(ρ) x + D(ρ) u instead of the paper's y = C(ρ) x."""
 
     def __post_init__(self) -> None:
         if self.scheduling not in SCHEDULING:
@@ -61,7 +63,7 @@ class Architecture:
         return self.order + self.inputs * ("u" in parts) + self.outputs * ("y" in parts)
 
     @property
-    def parameter_sizes(self) -> tuple[int, int, int, int]:
-        """Numbers of entries of W, V, B and C: the generator's output is their concatenation."""
-        n = self.order
-        return 4 * n * n, n * n, n * self.inputs, self.outputs * n
+    def parameter_sizes(self) -> tuple[int, int, int, int, int]:
+        """Numbers of entries of W, V, B, C and D (0 without one): the generator's output is their concatenation."""
+        n, r, m = self.order, self.inputs, self.outputs
+        return 4 * n * n, n * n, n * r, m * n, m * r * self.feedthrough

@@ -4,7 +4,7 @@ The same equations as `nnss`, written for the CPU. `NNSS` is the readable versio
 this one. Sizes are arguments, so one compilation a precision serves every architecture; numba
 keeps it on disk for later processes.
 
-Layout: signals and the entries of W, V, B, C are (sample, channel, batch) with the batch innermost, so that the
+Layout: signals and the entries of W, V, B, C, D are (sample, channel, batch) with the batch innermost, so that the
 n × n algebra vectorises over it. Activations are (sample, batch, channel) with rows of whole vectors: a layer and
 its adjoint are then products without a transposed operand, and a weight's gradient is one product over a
 block of samples and windows. The generator's weights come as one flat vector, layer by layer: matrix, then
@@ -589,6 +589,7 @@ def _step(
     r, m = u.shape[0], y.shape[0]
     B = 4 * n * n + n * (n - 1) // 2
     C = B + n * r
+    D = C + m * n  # there is one where the rows of theta reach so far
     _state_product(kind, theta, x, gamma, epsilon, factors, z, q, x_next)
     for j in range(n):
         for c in range(r):
@@ -602,6 +603,11 @@ def _step(
             row = theta[C + o * n + j]
             for s in range(b):
                 y[o, s] += row[s] * x[j, s]
+        if len(theta) > D:
+            for c in range(r):
+                row = theta[D + o * r + c]
+                for s in range(b):
+                    y[o, s] += row[s] * u[c, s]
 
 
 @part
@@ -617,6 +623,7 @@ def _step_adjoint(
     r, m = u.shape[0], d_y.shape[0]
     B = 4 * n * n + n * (n - 1) // 2
     C = B + n * r
+    D = C + m * n
     for i in range(n):
         for c in range(r):
             row, d_b = theta[B + i * r + c], d_theta[B + i * r + c]
@@ -630,6 +637,11 @@ def _step_adjoint(
             for s in range(b):
                 d_c[s] = d_y[o, s] * x[j, s]
                 d_x[j, s] += row[s] * d_y[o, s]
+        if len(theta) > D:
+            for c in range(r):
+                row = d_theta[D + o * r + c]
+                for s in range(b):
+                    row[s] = d_y[o, s] * u[c, s]
 
 
 def _tile(rows: int, vectors: int) -> Any:
@@ -813,7 +825,7 @@ def _lay_out(weights: Any, widths: Any, n: int, forward: Any, biases: Any, backw
     """The generator's weights as the products want them: rows of whole vectors, zero beyond a layer's width.
 
     `forward` takes Wᵀ of each layer, `backward` W where it is not empty. Of V the last layer keeps V − Vᵀ above
-    the diagonal, for nothing else of it counts: its rows are then W, V, B, C with n(n−1)/2 rows for V.
+    the diagonal, for nothing else of it counts: its rows are then W, V, B, C, D with n(n−1)/2 rows for V.
     """
     lanes = VECTOR // weights.itemsize
     last = len(widths) - 2
@@ -958,7 +970,7 @@ def free_run(
 
     Args:
         weights: of the generator, flat; what follows them is not read.
-        widths: of the generator: scheduling size, hidden layers, number of entries of W, V, B, C.
+        widths: of the generator: scheduling size, hidden layers, number of entries of W, V, B, C, D.
         kind: one of `KINDS`: how A follows from W and V.
         with_u: whether u schedules.
         with_y: whether the previous output schedules.
@@ -1214,13 +1226,13 @@ def loss_and_gradient(
 @entry
 def sensitivities(
     weights: Any, widths: Any, kind: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
-    x0: Any, S0: Any, u: Any, y0: Any, y: Any, x_all: Any, J: Any,
+    x0: Any, u: Any, y0: Any, S: Any, y: Any, x_all: Any, J: Any,
 ) -> None:  # fmt: skip
-    """Simulated outputs of a record and their derivatives by all weights.
+    """Simulated outputs of a stretch of a record and their derivatives by all weights.
 
-    With S = ∂x(k)/∂weights and R = ∂y(k−1)/∂weights
+    With S = ∂[x(k); y(k−1)]/∂weights
 
-        [∂x(k+1); ∂y(k)]/∂weights = F [S; R] + ∂[x(k+1); y(k)]/∂weights at fixed x(k), y(k−1)
+        ∂[x(k+1); y(k)]/∂weights = F S + ∂[x(k+1); y(k)]/∂weights at fixed x(k), y(k−1)
 
     where F and the last term come from the step's adjoint, seeded with the n + m unit vectors.
 
@@ -1232,16 +1244,16 @@ def sensitivities(
         with_y: whether the previous output schedules.
         gamma: bound on the spectral radius.
         epsilon: of the Schur parametrisation.
-        x0: initial state (n,).
-        S0: its derivatives (n, p) by the p weights.
+        x0: initial state (n,); becomes the one after the stretch.
         u: inputs (K, r).
-        y0: output before the first sample (m,), for scheduling on it.
+        y0: output before the first sample (m,), for scheduling on it; becomes the last one.
+        S: the derivatives (n + m, p) of x0 and y0 by the p weights; become those of what x0 and y0 become.
         y: simulated outputs (K, m), written.
         x_all: states (K, n), written.
         J: derivatives of the outputs (K, m, p), written.
     """
     dtype, lanes = weights.dtype, VECTOR // weights.itemsize
-    K, m, n, r, p = len(u), len(y0), len(x0), u.shape[1], S0.shape[1]
+    K, m, n, r, p = len(u), len(y0), len(x0), u.shape[1], S.shape[1]
     layers, s = len(widths) - 1, n + m
     P = widths[layers] - n * (n + 1) // 2
     rows, long, longest = np.empty(layers + 1, np.int64), np.empty(layers + 1, np.int64), 0
@@ -1279,9 +1291,10 @@ def sensitivities(
     wide = _padded(p, lanes)
     past, now, F = _aligned(s * wide, dtype), _aligned(s * wide, dtype), _aligned(s * s, dtype)
     _clear(past)
-    for i in range(n):
+    for c in range(s):
         for w in range(p):
-            past[i * wide + w] = S0[i, w]
+            past[c * wide + w] = S[c, w]
+    for i in range(n):
         for c in range(s):
             x[i, c] = x0[i]
     for o in range(m):
@@ -1365,6 +1378,13 @@ def sensitivities(
             for c in range(s):
                 x[i, c] = x_next[i, c]
         past, now = now, past
+    for i in range(n):
+        x0[i] = x[i, 0]
+    for o in range(m):
+        y0[o] = previous[o, 0]
+    for c in range(s):
+        for w in range(p):
+            S[c, w] = past[c * wide + w]
 
 
 @entry

@@ -1,9 +1,10 @@
 """NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or contracts.
 
-    x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k),   x(0) = g(y(0))
+    x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k) [+ D(ρ) u(k)],   x(0) = g(y(0))
 
 ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
-follows from W and V by the Schur parametrisation. The encoder g is a chain of linear layers.
+follows from W and V by the Schur parametrisation. The encoder g is a chain of linear layers. D is an option
+beyond the paper: without it an input cannot show in the output of the same sample.
 
 Source: A. E. Sertbaş and T. Kumbasar, "Stable-by-Design Neural Network-Based LPV State-Space
 Models for System Identification", arXiv:2510.24757, 2025, and the code released with it.
@@ -75,15 +76,19 @@ class NNSS(nn.Module):
         """The scaling, from the buffers."""
         return Scaling(*(getattr(self, field.name).numpy() for field in fields(Scaling)))
 
-    def matrices(self, rho: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """W (b, 2n, 2n), V (b, n, n), B (b, n, r), C (b, m, n) at scheduling points rho (b, ·)."""
+    def matrices(self, rho: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+        """W (b, 2n, 2n), V (b, n, n), B (b, n, r), C (b, m, n) and D (b, m, r) at scheduling points rho (b, ·).
+
+        D is None for a model without feedthrough.
+        """
         n, r, m = self.architecture.order, self.architecture.inputs, self.architecture.outputs
-        W, V, B, C = self.generator(rho).split(self.architecture.parameter_sizes, dim=-1)
+        W, V, B, C, D = self.generator(rho).split(self.architecture.parameter_sizes, dim=-1)
         return (
             W.reshape(-1, 2 * n, 2 * n),
             V.reshape(-1, n, n),
             B.reshape(-1, n, r),
             C.reshape(-1, m, n),
+            D.reshape(-1, m, r) if self.architecture.feedthrough else None,
         )
 
     def state_matrix(self, W: Tensor, V: Tensor) -> Tensor:
@@ -106,7 +111,7 @@ class NNSS(nn.Module):
         A x = S12 (M⁻¹ x), so A itself is not formed.
         """
         a = self.architecture
-        W, V, B, C = self.matrices(self.rho(x, u, y_previous))
+        W, V, B, C, D = self.matrices(self.rho(x, u, y_previous))
         if a.stability == "schur":
             S12, M = schur_terms(W, V, a.gamma, a.epsilon)
             Ax = S12 @ torch.linalg.solve(M, x.unsqueeze(-1))
@@ -114,6 +119,8 @@ class NNSS(nn.Module):
             Ax = self.state_matrix(W, V) @ x.unsqueeze(-1)
         x_next = (Ax + B @ u.unsqueeze(-1)).squeeze(-1)
         y = (C @ x.unsqueeze(-1)).squeeze(-1)
+        if D is not None:
+            y = y + (D @ u.unsqueeze(-1)).squeeze(-1)
         return x_next, y
 
     def forward(

@@ -203,7 +203,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
         "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
         "invariant ball ‖x‖ ≤": known(found.invariant_radius),
         "largest ‖x(0)‖ of the records": known(found.initial_state),
-        "sup‖B‖, sup‖C‖": f"{known(found.B_bound)}, {known(found.C_bound)}",
+        "sup‖B‖, sup‖C‖, sup‖D‖": ", ".join(map(known, (found.B_bound, found.C_bound, found.D_bound))),
         "sup‖u‖": known(found.input_bound),
         "common Lyapunov matrix": found.lyapunov,
         "its rate" if linear else "its rate, sampled set": known(found.lyapunov_rate),

@@ -5,7 +5,7 @@ Faster engines are checked against `ReferenceEngine`, so it stays close to the e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol, cast
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
+from nnss_cli.training.least_squares import Block
 from nnss_cli.training.recipe import Recipe
 
 
@@ -37,12 +38,11 @@ class Engine(Protocol):
         """Take these weights; the loss over all windows and its gradient."""
         ...
 
-    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def sensitivities(self, x0: FloatArray) -> Iterator[Block]:
         """Errors ŷ − y of all windows simulated from the initial states x0 (N, n), with derivatives.
 
-        Returns:
-            Errors (q,), window after window, their derivatives (q, p + N n) by the generator's p weights and
-            the initial states, and the states (K, n). Where y schedules, windows start at their second sample.
+        They come in blocks, window after window, sample after sample, with derivatives by the generator's weights and
+        the window's initial state. Where y schedules, windows start at their second sample.
         """
         ...
 
@@ -141,14 +141,11 @@ class ReferenceEngine:
         )
         return loss.item(), gradient.numpy().astype(np.float64)
 
-    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Errors, their derivatives and the states; see `Engine`."""
+    def sensitivities(self, x0: FloatArray) -> Iterator[Block]:
+        """Errors and their derivatives, a block a window; see `Engine`."""
         named = {name: p.detach() for name, p in self.model.named_parameters() if name.startswith("generator")}
-        n, N, p = self.model.architecture.order, len(self.u), sum(weight.numel() for weight in named.values())
-        errors, J, x = ([torch.empty(0)] * N for _ in range(3))
-        for chosen in self.by_length(range(N)):
-            u, y = (torch.stack([signal[i] for i in chosen]) for signal in (self.u, self.y))
-            y_previous, u, y = split_first(self.model, u, y)
+        for window in range(len(self.u)):
+            y_previous, u, y = split_first(self.model, self.u[window][None], self.y[window][None])
             y_first = y[:, 0] if y_previous is None else y_previous
 
             def run(*values: Tensor, u: Tensor = u, y_first: Tensor = y_first) -> tuple[Tensor, Tensor]:
@@ -158,16 +155,13 @@ class ReferenceEngine:
                     torch.func.functional_call(self.model, weights, (u, y_first), {"x0": values[-1]}),
                 )
 
-            at = (*named.values(), torch.tensor(x0[chosen], dtype=self.model.dtype))
+            at = (*named.values(), torch.tensor(x0[window : window + 1], dtype=self.model.dtype))
             y_simulated, states = run(*at)
             parts = torch.autograd.functional.jacobian(lambda *values, run=run: run(*values)[0], at)
-            by_weights = torch.cat([part.flatten(3) for part in parts[:-1]], dim=3)  # (b, K, m, p)
-            for place, window in enumerate(chosen):
-                rows = torch.zeros(y[place].numel(), p + N * n, dtype=y.dtype)
-                rows[:, :p] = by_weights[place].flatten(0, 1)
-                rows[:, p + window * n : p + (window + 1) * n] = parts[-1][place, :, :, place].flatten(0, 1)
-                errors[window], J[window], x[window] = (y_simulated[place] - y[place]).ravel(), rows, states[place]
-        return tuple(torch.cat(found).numpy().astype(np.float64) for found in (errors, J, x))  # type: ignore[return-value]
+            by_weights = torch.cat([part.flatten(3) for part in parts[:-1]], dim=3).flatten(0, 2)
+            errors, by_state = (y_simulated - y).ravel(), parts[-1].flatten(3).flatten(0, 2)
+            e, J, S, x = (part.numpy().astype(np.float64) for part in (errors, by_weights, by_state, states[0]))
+            yield Block(e, J, S, window, x)
 
     @torch.no_grad()
     def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,10 @@ from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map
+from nnss_cli.training.least_squares import Block
 from nnss_cli.training.recipe import Recipe
+
+STRETCH = 2048  # samples whose derivatives are held at a time
 
 
 class Weights:
@@ -65,28 +68,34 @@ class Weights:
         n, p = self.architecture.order, self.generator_size
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-            simulated, _, J = self.sensitivities(x0, u[: len(y)], y[0])
+            parts = list(self.sensitivities(x0, u[: len(y)], y[0]))
+            simulated, J = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
             return (simulated - y).ravel().astype(np.float64), J[:, :, p:].reshape(-1, n).astype(np.float64)
 
         return state_from_window(evaluate, guess, float(np.finfo(self.vector.dtype).eps))
 
-    def sensitivities(self, x0: FloatArray, u: FloatArray, y0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of a simulation of u (K, r) from x0 (n,) and the output y0 (m,) before it.
+    def sensitivities(
+        self, x0: FloatArray, u: FloatArray, y0: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Of a simulation of u (K, r) from x0 (n,) and the output y0 (m,) before it, in stretches of k samples.
 
-        Returns:
-            Outputs (K, m), states (K, n), and the outputs' derivatives (K, m, p + n) by the generator's weights and x0.
+        Yields:
+            Outputs (k, m), states (k, n), and the outputs' derivatives (k, m, p + n) by the generator's weights and x0.
         """
         a, dtype, p = self.architecture, self.vector.dtype, self.generator_size
-        K, n = len(u), a.order
-        S0 = np.concatenate([np.zeros((n, p)), np.eye(n)], axis=1).astype(dtype)
-        y, x = np.empty((K, a.outputs), dtype), np.empty((K, n), dtype)
-        J = np.empty((K, a.outputs, p + n), dtype)
+        n, m = a.order, a.outputs
+        S = np.zeros((n + m, p + n), dtype)
+        S[:n, p:] = np.eye(n)
         x0, u, y0 = (np.array(signal, dtype, order="C") for signal in (x0, u, y0))
-        kernels.sensitivities(
-            self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
-            a.epsilon, x0, S0, u, y0, y, x, J,
-        )  # fmt: skip
-        return y, x, J
+        for start in range(0, len(u), STRETCH):
+            part = u[start : start + STRETCH]
+            k = len(part)
+            y, x, J = np.empty((k, m), dtype), np.empty((k, n), dtype), np.empty((k, m, p + n), dtype)
+            kernels.sensitivities(
+                self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
+                a.epsilon, x0, part, y0, S, y, x, J,
+            )  # fmt: skip
+            yield y, x, J
 
     def free_runs(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Side by side: outputs (K, m, b) and states (K, n, b) from u (K, r, b), y0 (m, b) and x0 (n, b)."""
@@ -113,7 +122,7 @@ def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) ->
     engine.train_batch(np.arange(2), 1)
     engine.free_run(np.ones((2, 1)), np.ones(1))
     if second_order:
-        engine.sensitivities(np.ones((2, 1)))
+        list(engine.sensitivities(np.ones((2, 1))))
 
 
 class FastEngine:
@@ -173,25 +182,19 @@ class FastEngine:
             W[:], bias[:] = (0, 0) if self.recipe.fixed_encoder else (d_W, d_bias)
         return float(loss)
 
-    def sensitivities(self, x0: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Errors, their derivatives and the states; see `Engine`."""
-        weights, a = self.model_weights, self.model_weights.architecture
-        dtype, n, m, p = weights.vector.dtype, a.order, a.outputs, weights.generator_size
-        with_y, N = "y" in a.scheduling, len(self.windows)
-        ends = np.cumsum(self.windows.lengths - with_y)
-        errors, x = np.empty((ends[-1], m), dtype), np.empty((ends[-1], n), dtype)
-        J = np.zeros((ends[-1], m, p + N * n), dtype)
-        for window, end in enumerate(ends):
+    def sensitivities(self, x0: FloatArray) -> Iterator[Block]:
+        """Errors and their derivatives, in stretches of at most `STRETCH` samples; see `Engine`."""
+        weights, p = self.model_weights, self.model_weights.generator_size
+        for window in range(len(self.windows)):
             u, y = self.windows.window(window)
             first = y[0]
-            if with_y:
+            if "y" in weights.architecture.scheduling:
                 u, y = u[1:], y[1:]
-            rows = slice(end - len(y), end)
-            simulated, x[rows], own = weights.sensitivities(x0[window], u, first)
-            errors[rows] = simulated - y
-            J[rows, :, :p] = own[:, :, :p]
-            J[rows, :, p + window * n : p + (window + 1) * n] = own[:, :, p:]
-        return errors.reshape(-1), J.reshape(errors.size, -1), x
+            at = 0
+            for simulated, x, J in weights.sensitivities(x0[window], u, first):
+                errors, J = simulated - y[at : at + len(x)], J.reshape(-1, J.shape[2])
+                yield Block(errors.reshape(-1), J[:, :p], J[:, p:], window, x)
+                at += len(x)
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:
         """One Adam step; see `Engine`."""

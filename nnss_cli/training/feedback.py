@@ -1,6 +1,6 @@
 """Start an NN-SS model as a linear one whose outputs feed back through saturations (a Lur'e model).
 
-    x(k+1) = A x + B u + F tanh(G x),   ŷ = C x,   G = g C₀
+    x(k+1) = A x + B u + F tanh(G x),   ŷ = C x [+ D u],   G = g C₀
 
 Dry friction of a drive is such a feedback. With tanh(s) = ψ(s) s, 0 < ψ ≤ 1, the model is LPV,
 
@@ -30,7 +30,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import regress_encoder, set_encoder
-from nnss_cli.training.gauss_newton import levenberg_marquardt
+from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
 from nnss_cli.training.warm import LinearStart, encoder_layers, free_matrices, set_generator
 
 ITERATIONS = 80
@@ -44,11 +44,12 @@ TOO_LARGE = 1e6  # a normalised state beyond it has diverged
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """x(k+1) = A x + B u + F tanh(G x), ŷ = C x, in normalised units."""
+    """x(k+1) = A x + B u + F tanh(G x), ŷ = C x + D u, in normalised units; D = 0 without feedthrough."""
 
     A: FloatArray
     B: FloatArray
     C: FloatArray
+    D: FloatArray
     F: FloatArray
     G: FloatArray
 
@@ -80,7 +81,11 @@ class Feedback:
         for k, slope in enumerate(1 - np.tanh(path @ self.G.T) ** 2):
             J[k] = self.C @ S
             S = (self.A + (self.F * slope) @ self.G) @ S
-        return path @ self.C.T, J
+        return self.outputs(u, path), J
+
+    def outputs(self, u: FloatArray, x: FloatArray) -> FloatArray:
+        """ŷ (K, m) at states x (K, n) under inputs u (K, r)."""
+        return x @ self.C.T + u @ self.D.T
 
     def state_matrix(self, x: FloatArray) -> FloatArray:
         """A(x) = A + F ψ(Gx) G, with ψ(s) = tanh(s)/s."""
@@ -92,7 +97,7 @@ class Feedback:
     def transform(self, T: FloatArray) -> Feedback:
         """The same model with states T x."""
         inverse = np.linalg.inv(T)
-        return Feedback(T @ self.A @ inverse, T @ self.B, self.C @ inverse, T @ self.F, self.G @ inverse)
+        return Feedback(T @ self.A @ inverse, T @ self.B, self.C @ inverse, self.D, T @ self.F, self.G @ inverse)
 
     def contracting_basis(self, gamma: float, epsilon: float) -> FloatArray | None:
         """T (n, n) with ‖T A(x) T⁻¹‖₂ < γ (1 − 4ε) at every x, the smallest norm found; None where none is.
@@ -124,20 +129,30 @@ class Feedback:
 class Problem:
     """Errors of a feedback model over the training records, and their derivatives by its parameters and x(0)."""
 
-    def __init__(self, start: LinearStateSpace, E: FloatArray, G: FloatArray, records: tuple[Record, ...]) -> None:
-        self.G, self.records = G, records
+    def __init__(
+        self,
+        start: LinearStateSpace,
+        E: FloatArray,
+        G: FloatArray,
+        records: tuple[Record, ...],
+        feedthrough: bool = False,
+    ) -> None:
+        self.G, self.records, self.feedthrough = G, records, feedthrough
         self.n, self.r, self.m = start.order, start.B.shape[1], len(start.C)
         theta = np.concatenate([start.A, start.B, np.zeros((self.n, self.m))], axis=1)  # of [x; u; tanh(Gx)]
-        begin = [E @ record.y[0] for record in records]
-        self.start = np.concatenate([theta.ravel(), start.C.ravel(), *begin])
+        outputs = np.concatenate([start.C, start.D], axis=1) if feedthrough else start.C  # of [x; u], or of x
+        self.inner, self.seen = theta.shape[1], outputs.shape[1]
+        begin = [E @ (record.y[0] - start.D @ record.u[0]) for record in records]
+        self.start = np.concatenate([theta.ravel(), outputs.ravel(), *begin])
 
     def parts(self, point: FloatArray) -> tuple[Feedback, FloatArray]:
         """The model of a point, and x(0) of each record (N, n)."""
         n, r, m = self.n, self.r, self.m
-        theta = point[: n * (n + r + m)].reshape(n, n + r + m)
-        C = point[theta.size : theta.size + m * n].reshape(m, n)
-        begin = point[theta.size + m * n :].reshape(-1, n)
-        return Feedback(theta[:, :n], theta[:, n : n + r], C, theta[:, n + r :], self.G), begin
+        theta, outputs, begin = np.split(point, np.cumsum([n * self.inner, m * self.seen]))
+        theta, outputs = theta.reshape(n, self.inner), outputs.reshape(m, self.seen)
+        D = outputs[:, n:] if self.feedthrough else np.zeros((m, r))
+        model = Feedback(theta[:, :n], theta[:, n : n + r], outputs[:, :n], D, theta[:, n + r :], self.G)
+        return model, begin.reshape(-1, n)
 
     def evaluate(self, point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Errors ŷ − y (q,), derivatives (q, p) and states (K, n) of all records.
@@ -146,18 +161,18 @@ class Problem:
         ∂x(k+1)/∂θ = (A + F'G) ∂x(k)/∂θ + ∂θ z, and likewise by x(0).
         """
         model, begin = self.parts(point)
-        n, m, inner = self.n, self.m, self.n + self.r + self.m
+        n, m, inner = self.n, self.m, self.inner
         rows, theta_size = np.arange(n), n * inner
         errors, derivatives, paths = [], [], []
         for index, record in enumerate(self.records):
             path = model.states(record.u, begin[index])
             if not np.isfinite(path).all():
-                return np.full(1, np.inf), np.empty((0, 0)), path
+                return np.full(1, np.inf), np.zeros((1, len(point))), path
             paths.append(path)
-            errors.append((path @ model.C.T - record.y).ravel())
+            errors.append((model.outputs(record.u, path) - record.y).ravel())
             bent = np.tanh(path @ self.G.T)
             z = np.concatenate([path, record.u, bent], axis=1)
-            own = theta_size + m * n + index * n  # where this record's x(0) stands
+            own = theta_size + m * self.seen + index * n  # where this record's x(0) stands
             J = np.zeros((len(path), m, len(point)))
             S = np.concatenate([np.zeros((n, theta_size)), np.eye(n)], axis=1)
             for k in range(len(path)):
@@ -166,7 +181,8 @@ class Problem:
                 S = (model.A + (model.F * (1 - bent[k] ** 2)) @ self.G) @ S
                 S[:, :theta_size].reshape(n, n, inner)[rows, rows] += z[k]
             for output in range(m):
-                J[:, output, theta_size + output * n : theta_size + (output + 1) * n] = path
+                at = theta_size + output * self.seen
+                J[:, output, at : at + self.seen] = z[:, : self.seen]
             derivatives.append(J.reshape(-1, len(point)))
         return np.concatenate(errors), np.concatenate(derivatives), np.concatenate(paths)
 
@@ -179,6 +195,7 @@ def fit_feedback(
     epsilon: float,
     gain: float,
     init_window: int = 1,
+    feedthrough: bool = False,
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
 
@@ -190,13 +207,14 @@ def fit_feedback(
         epsilon: as in `schur_matrix`.
         gain: g.
         init_window: first samples of a validation experiment that tell x(0); where several, they are not scored.
+        feedthrough: whether D is estimated.
 
     Returns:
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
         square; None where no iterate validates better than the linear model, from either of its encoders.
     """
     model, E = start
-    problem = Problem(model, E, gain * model.C, train)
+    problem = Problem(model, E, gain * model.C, train, feedthrough)
     y = np.concatenate([record.y for record in train])
     w = init_window
     unscored = w if w > 1 else 0
@@ -204,8 +222,11 @@ def fit_feedback(
 
     def val_error(model: Feedback, E: FloatArray, e: FloatArray) -> float:
         begin = [model.state_from(record.u, record.y[:w], E @ record.y[0] + e) for record in val]
-        path = np.concatenate([model.states(r.u, x0)[unscored:] for r, x0 in zip(val, begin, strict=True)])
-        return float(np.mean((path @ model.C.T - known) ** 2)) if np.isfinite(path).all() else np.inf
+        path = [model.states(record.u, x0) for record, x0 in zip(val, begin, strict=True)]
+        if not all(np.isfinite(x).all() for x in path):
+            return np.inf
+        y = [model.outputs(record.u, x)[unscored:] for record, x in zip(val, path, strict=True)]
+        return float(np.mean((np.concatenate(y) - known) ** 2))
 
     linear, begin = problem.parts(problem.start)
     x = np.concatenate([linear.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)])
@@ -227,7 +248,11 @@ def fit_feedback(
                 lowest, best, waited = error, (model.transform(T), x @ T.T), 0
         return waited < PATIENCE
 
-    levenberg_marquardt(problem.evaluate, problem.start, ITERATIONS, accepted)
+    def evaluate(point: FloatArray) -> tuple[NormalEquations, FloatArray]:
+        errors, J, x = problem.evaluate(point)
+        return NormalEquations.of(errors, J), x
+
+    levenberg_marquardt(evaluate, problem.start, ITERATIONS, accepted)
     return best
 
 
@@ -259,7 +284,7 @@ def feedback_start(
     a = model.architecture
     middle, spread = GAIN
     gain = middle * np.exp(spread * random.standard_normal())
-    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain, init_window)
+    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough)
     if found is None:
         return False
     feedback, x = found
@@ -279,6 +304,6 @@ def feedback_start(
         first.bias.copy_(torch.from_numpy(-np.sum(directions * centres, axis=1)))
         features = model.generator[:-1](rho).numpy().astype(np.float64)
     affine, *_ = np.linalg.lstsq(np.column_stack([features, np.ones(len(at))]), targets, rcond=CUT)
-    set_generator(model, affine[-1], feedback.B, feedback.C, affine[:-1].T)
+    set_generator(model, affine[-1], feedback, affine[:-1].T)
     set_encoder(encoder_layers(model), *regress_encoder(np.concatenate([record.y for record in train]), x))
     return True

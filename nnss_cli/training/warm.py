@@ -8,7 +8,7 @@ model that one likes. Training then begins at that model's error and leaves line
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypeAlias, cast
+from typing import Protocol, TypeAlias, cast
 
 import numpy as np
 import torch
@@ -29,7 +29,12 @@ LinearStart: TypeAlias = tuple[LinearStateSpace, FloatArray]
 
 
 def linear_start(
-    train: tuple[Record, ...], val: tuple[Record, ...], order: int, gamma: float, init_window: int = 1
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    order: int,
+    gamma: float,
+    init_window: int = 1,
+    feedthrough: bool = False,
 ) -> LinearStart:
     """SSEST's model with ρ(A) < γ, in the basis in which its states over the training records have unit covariance.
 
@@ -39,11 +44,12 @@ def linear_start(
         order: number of states n.
         gamma: γ.
         init_window: first samples of a validation experiment that tell x(0).
+        feedthrough: estimate D as well.
 
     Returns:
         The model in normalised units, and the matrix that takes y(0) to the x(0) from which it is scored.
     """
-    model = ssest(train, val, order, init_window=init_window)
+    model = ssest(train, val, order, feedthrough, init_window)
     radius, limit = model.spectral_radius(), gamma * (1 - INSIDE)
     if radius > limit:
         model = LinearStateSpace(model.A * (limit / radius), model.B, model.C, model.D, model.Ts)
@@ -79,7 +85,7 @@ def warm_start(model: NNSS, linear: LinearStart) -> None:
         # a slow pole leaves no room for ε: what is taken off is no more than INSIDE takes elsewhere
         limit = a.gamma * (1 - 4 * a.epsilon)
         A = start.A * min(1.0, limit / float(np.linalg.norm(start.A, 2)))
-    set_generator(model, np.concatenate(free_matrices(a, A)), start.B, start.C)
+    set_generator(model, np.concatenate(free_matrices(a, A)), start)
     set_encoder(encoder_layers(model), E, np.zeros(a.order))
 
 
@@ -112,16 +118,31 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
     return W.ravel(), V.ravel()
 
 
-def set_generator(
-    model: NNSS, free: FloatArray, B: FloatArray, C: FloatArray, weights: FloatArray | None = None
-) -> None:
-    """Write the last layer: W, V (5n²,), B and C as its bias; `weights` (5n², h) of W and V, those of B and C zero."""
+class OutputMatrices(Protocol):
+    """What beside A makes a start."""
+
+    @property
+    def B(self) -> FloatArray:
+        """Input matrix (n, r)."""
+
+    @property
+    def C(self) -> FloatArray:
+        """Output matrix (m, n)."""
+
+    @property
+    def D(self) -> FloatArray:
+        """Feedthrough (m, r); left out where the model has none."""
+
+
+def set_generator(model: NNSS, free: FloatArray, start: OutputMatrices, weights: FloatArray | None = None) -> None:
+    """Write the last layer: W, V (5n²,), B, C and D as its bias; `weights` (5n², h) of W and V, all others zero."""
     output = cast(torch.nn.Linear, model.generator[-1])
     with torch.no_grad():
         output.weight.zero_()
         if weights is not None:
             output.weight[: len(weights)] = torch.from_numpy(weights)
-        output.bias.copy_(torch.from_numpy(np.concatenate([free, B.ravel(), C.ravel()])))
+        parts = [free, start.B.ravel(), start.C.ravel()] + [start.D.ravel()] * model.architecture.feedthrough
+        output.bias.copy_(torch.from_numpy(np.concatenate(parts)))
 
 
 def encoder_layers(model: NNSS) -> Layers:

@@ -97,7 +97,7 @@ def test_two_states_under_one_scheduling_approach_each_other(seed: int, gamma: f
     first, second = torch.tensor(random.standard_normal((2, 1, 3)))
     with torch.no_grad():
         for _ in range(20):
-            W, V, _, _ = model.matrices(torch.tensor(random.standard_normal((1, 3))))
+            W, V, *_ = model.matrices(torch.tensor(random.standard_normal((1, 3))))
             A = model.state_matrix(W, V)[0]
             before = torch.linalg.norm(first - second)
             first, second = first @ A.T, second @ A.T

@@ -96,7 +96,7 @@ def test_derivatives_against_finite_differences_and_the_compiled_ones(scheduling
         plain = model(torch.tensor(u)[None], torch.tensor(y0)[None], x0=torch.tensor(x0)[None])[0][0]
     np.testing.assert_allclose(y, plain.numpy(), atol=1e-13)
     weights = Weights(model)
-    y_compiled, _, J_compiled = weights.sensitivities(x0, u, y0)
+    ((y_compiled, _, J_compiled),) = weights.sensitivities(x0, u, y0)
     np.testing.assert_allclose(y_compiled, y, atol=1e-10)
     np.testing.assert_allclose(J_compiled[:, :, weights.generator_size :], J, atol=1e-10)
 
@@ -195,7 +195,7 @@ def test_the_engines_find_the_models_state() -> None:
 @given(seed=st.integers(0, 999))
 def test_a_model_with_feedback_finds_its_state(seed: int) -> None:
     random = np.random.default_rng(seed)
-    model = Feedback(SLOW.A, SLOW.B, SLOW.C, -0.1 * SLOW.B, 2 * SLOW.C)
+    model = Feedback(SLOW.A, SLOW.B, SLOW.C, SLOW.D, -0.1 * SLOW.B, 2 * SLOW.C)
     u, x0 = random.standard_normal((60, 1)), random.standard_normal(3)
     y = model.states(u, x0) @ model.C.T
     np.testing.assert_allclose(model.state_from(u, y[:50], np.zeros(3)), x0, atol=1e-6)
@@ -263,7 +263,7 @@ def test_a_window_costs_a_few_simulations_of_it() -> None:
     def evaluate(x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         nonlocal count
         count += 1
-        simulated, _, J = weights.sensitivities(x0, model.scaling.normalise_u(u)[:50], y[0])
+        ((simulated, _, J),) = weights.sensitivities(x0, model.scaling.normalise_u(u)[:50], y[0])
         return (simulated - y[:50]).ravel(), J[:, :, weights.generator_size :].reshape(50, 3)
 
     state_from_window(evaluate, np.zeros(3), EPS)

@@ -67,18 +67,22 @@ def worst_difference(model: NNSS, u: np.ndarray, y: np.ndarray, consistency: flo
     return abs(loss - reference.item()) / reference.item(), worst
 
 
+@pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize("stability", STABILITIES)
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 @pytest.mark.parametrize(("n", "r", "m", "hidden", "encoder", "batch", "L"), CASES)
 def test_gradients_agree_in_float64(
-    n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int, scheduling: str, stability: str
-) -> None:
+    n: int, r: int, m: int, hidden: tuple, encoder: tuple, batch: int, L: int, scheduling: str, stability: str,
+    feedthrough: bool,
+) -> None:  # fmt: skip
     if scheduling != "x" and L == 2 and "y" in scheduling:
         pytest.skip("one sample is left of such a window")
     for gamma, saturation in ((1.0, 0.0), (0.8, 0.0), (1.0, 30.0)):
         if stability == "none" and L > 100:
             L = 20  # such a model leaves the range of numbers that can be compared
-        a = Architecture(n, r, m, hidden, encoder, scheduling, gamma, dtype="float64", stability=stability)
+        a = Architecture(
+            n, r, m, hidden, encoder, scheduling, gamma, dtype="float64", stability=stability, feedthrough=feedthrough
+        )
         loss, gradient = worst_difference(make(a, saturation), *windows(a, batch, L), consistency=0.3)
         assert loss < 1e-12, (gamma, saturation)
         assert gradient < 1e-12, (gamma, saturation)
@@ -111,13 +115,16 @@ def test_a_hundred_steps_agree(scheduling: str, stability: str) -> None:
     np.testing.assert_allclose(fast.free_run(u[0], y[0, 0]), plain.free_run(u[0], y[0, 0]), atol=1e-9)
 
 
+@pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 @pytest.mark.parametrize(
     ("dtype", "stability"),
     [("float32", "schur"), ("float64", "schur"), ("float32", "contraction"), ("float64", "none")],
 )
-def test_free_runs_agree(scheduling: str, dtype: str, stability: str) -> None:
-    a = Architecture(4, 2, 3, (20, 10), (5, 5), scheduling, 0.95, dtype=dtype, stability=stability)
+def test_free_runs_agree(scheduling: str, dtype: str, stability: str, feedthrough: bool) -> None:
+    a = Architecture(
+        4, 2, 3, (20, 10), (5, 5), scheduling, 0.95, dtype=dtype, stability=stability, feedthrough=feedthrough
+    )
     model = make(a)
     random = np.random.default_rng(2)
     u, y0 = random.standard_normal((200, 2)), random.standard_normal(3)

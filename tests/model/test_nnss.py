@@ -80,7 +80,7 @@ def test_simulation_follows_the_equations(n: int, r: int, m: int, gamma: float, 
 def test_the_state_matrix_is_schur_at_every_state(n: int, gamma: float, scale: float, seed: int) -> None:
     model = make(n, gamma=gamma, seed=seed)
     x = torch.from_numpy(scale * np.random.default_rng(seed).standard_normal((20, n)))
-    W, V, _, _ = model.matrices(x)
+    W, V, *_ = model.matrices(x)
     for w, v in zip(W.detach().numpy(), V.detach().numpy(), strict=True):
         assert np.abs(np.linalg.eigvals(schur_matrix(w, v, gamma))).max() < gamma
 

@@ -29,7 +29,7 @@ def plant(random: np.random.Generator, n: int, r: int, m: int, size: float) -> F
     C = np.linalg.qr(random.standard_normal((n, m)))[0].T
     F = -size * A @ C.T  # A + F ψ C: between A and a contraction of it
     T = random.standard_normal((n, n)) + 2 * np.eye(n)
-    return Feedback(A, random.standard_normal((n, r)), C, F, C).transform(T)
+    return Feedback(A, random.standard_normal((n, r)), C, np.zeros((m, r)), F, C).transform(T)
 
 
 @given(n=st.integers(1, 6), m=st.integers(1, 3), gamma=st.sampled_from([1.0, 0.97]), seed=st.integers(0, 2**32 - 1))
@@ -45,18 +45,20 @@ def test_the_basis_contracts_at_every_state(n: int, m: int, gamma: float, seed: 
 
 def test_there_is_no_basis_for_what_is_unstable() -> None:
     one = np.ones((1, 1))
-    assert Feedback(0.9 * one, one, one, -0.5 * one, one).contracting_basis(1.0, 1e-5) is not None
-    assert Feedback(0.9 * one, one, one, 0.2 * one, one).contracting_basis(1.0, 1e-5) is None
+    assert Feedback(0.9 * one, one, one, one, -0.5 * one, one).contracting_basis(1.0, 1e-5) is not None
+    assert Feedback(0.9 * one, one, one, one, 0.2 * one, one).contracting_basis(1.0, 1e-5) is None
 
 
+@pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize(("n", "r", "m", "records"), [(2, 1, 1, 1), (4, 3, 2, 2), (1, 2, 1, 3)])
-def test_derivatives_agree_with_differences(n: int, r: int, m: int, records: int) -> None:
+def test_derivatives_agree_with_differences(n: int, r: int, m: int, records: int, feedthrough: bool) -> None:
     random = np.random.default_rng(0)
     start = LinearStateSpace(
-        0.8 * np.eye(n), random.standard_normal((n, r)), random.standard_normal((m, n)), np.zeros((m, r)), 1.0
-    )
+        0.8 * np.eye(n), random.standard_normal((n, r)), random.standard_normal((m, n)),
+        random.standard_normal((m, r)) * feedthrough, 1.0,
+    )  # fmt: skip
     data = tuple(Record(random.standard_normal((9, r)), random.standard_normal((9, m)), 1.0) for _ in range(records))
-    problem = Problem(start, np.linalg.pinv(start.C), 1.5 * start.C, data)
+    problem = Problem(start, np.linalg.pinv(start.C), 1.5 * start.C, data, feedthrough)
     point = problem.start + 0.1 * random.standard_normal(problem.start.shape)
     errors, J, x = problem.evaluate(point)
     assert (errors.shape, x.shape) == ((9 * records * m,), (9 * records, n))
@@ -75,7 +77,7 @@ def test_a_point_that_diverges_has_no_finite_error() -> None:
 def records() -> tuple[Record, Record]:
     """A drive with dry friction: resonance, saturated feedback from the measured speed, a little noise."""
     model = Feedback(
-        np.array([[0.99, 0.12], [-0.12, 0.985]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.0]]),
+        np.array([[0.99, 0.12], [-0.12, 0.985]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
         np.array([[-0.12], [0.0]]), np.array([[3.0, 0.0]]),
     )  # fmt: skip
     random = np.random.default_rng(4)
@@ -121,7 +123,7 @@ def test_the_network_simulates_like_the_model_it_was_regressed_on(
     assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.01
     assert np.sqrt(np.mean((ours - val.y) ** 2)) < 0.5 * simulation_rms(linear[0], (val,))
     rho = torch.zeros(1, a.scheduling_size, dtype=torch.float64)
-    W, V, _, _ = model.matrices(rho)
+    W, V, *_ = model.matrices(rho)
     assert np.abs(np.linalg.eigvals(model.state_matrix(W, V)[0].detach().numpy())).max() < 1
 
 

@@ -1,6 +1,7 @@
 """Exact derivatives of simulated outputs, Gauss–Newton, the encoder by regression, warm starts."""
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ from nnss_cli.datasets.record import Channels, Record, Scaling
 from nnss_cli.iterative import named_random
 from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.training import fast as fast_module
+from nnss_cli.training import gauss_newton as gauss_newton_module
 from nnss_cli.training.encoder import encoder_map, regress_encoder, set_encoder
 from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
 from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.gauss_newton import gauss_newton
+from nnss_cli.training.least_squares import Block, NormalEquations
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
 
@@ -34,6 +38,7 @@ def signals(a: Architecture, N: int, L: int) -> tuple[np.ndarray, np.ndarray]:
     return random.standard_normal((N, L, a.inputs)), random.standard_normal((N, L, a.outputs))
 
 
+@pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize("stability", STABILITIES)
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 @pytest.mark.parametrize(
@@ -41,13 +46,19 @@ def signals(a: Architecture, N: int, L: int) -> tuple[np.ndarray, np.ndarray]:
     [(3, 1, 1, (12, 9), (4, 4), 3, 12), (5, 2, 4, (7,), (), 1, 9), (8, 1, 2, (3, 3, 3), (2,), 2, 7)],
 )
 def test_derivatives_agree_with_automatic_ones(
-    n: int, r: int, m: int, hidden: tuple, encoder: tuple, N: int, L: int, scheduling: str, stability: str
-) -> None:
-    a = Architecture(n, r, m, hidden, encoder, scheduling, gamma=0.9, dtype="float64", stability=stability)
+    n: int, r: int, m: int, hidden: tuple, encoder: tuple, N: int, L: int, scheduling: str, stability: str,
+    feedthrough: bool, whole: Callable, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(fast_module, "STRETCH", 4)  # several stretches a window, the last one ragged
+    a = Architecture(
+        n, r, m, hidden, encoder, scheduling, gamma=0.9, dtype="float64", stability=stability, feedthrough=feedthrough
+    )
     model = make(a)
     u, y = signals(a, N, L)
     x0 = np.random.default_rng(2).standard_normal((N, n))
-    fast, reference = (engine(model, u, y, Recipe()).sensitivities(x0) for engine in (FastEngine, ReferenceEngine))
+    fast, reference = (
+        whole(engine(model, u, y, Recipe()).sensitivities(x0), N) for engine in (FastEngine, ReferenceEngine)
+    )
     for ours, theirs in zip(fast, reference, strict=True):
         assert ours.shape == theirs.shape
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
@@ -130,3 +141,58 @@ def test_a_fixed_encoder_stays(engine: type) -> None:
     started.train_batch(np.arange(4), 1)
     for name, array in started.weights().items():
         assert (array == before[name]).all() == name.startswith("encoder")
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_normal_equations_are_those_of_the_blocks_together(every: int, whole: Callable) -> None:
+    """Of two windows in ragged stretches; with every third sample, the gradient and the cost are of all."""
+    random = np.random.default_rng(0)
+    p, n, m = 5, 2, 2
+    lengths = ((0, 7), (0, 4), (1, 9))
+    blocks = [
+        Block(
+            *(random.standard_normal(shape) for shape in ((k * m,), (k * m, p), (k * m, n))), window, np.zeros((k, n))
+        )
+        for window, k in lengths
+    ]
+    errors, J, _ = whole(blocks, 2)
+    found, states = NormalEquations.summed(blocks, 2, every)
+    assert [len(x) for x in states] == [7, 4, 9]
+    assert (found.squares, found.count) == (pytest.approx(errors @ errors), len(errors))
+    np.testing.assert_allclose(found.slope, J.T @ errors, atol=1e-12)
+    expected = np.zeros_like(found.gram)
+    row = 0
+    for _, k in lengths:
+        part = J[row : row + k * m].reshape(k, m, -1)
+        seen = part[::every].reshape(-1, J.shape[1])
+        expected += seen.T @ seen * (k / len(part[::every]))
+        row += k * m
+    np.testing.assert_allclose(np.tril(found.gram), np.tril(expected), atol=1e-12)
+
+
+@pytest.mark.parametrize("most", [8, 10**6], ids=["of some samples", "of all"])
+def test_a_long_record_is_trained_with_the_curvature_of_some_samples(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both descend to the optimum of a plant without noise; the short way takes a fraction of the samples."""
+    a = Architecture(1, 1, 1, (2,), (2,), dtype="float64")
+    u = np.random.default_rng(0).standard_normal((1, 3000, 1))
+    with torch.no_grad():
+        y = make(a, seed=5)(torch.tensor(u), torch.tensor(np.zeros((1, 1))))[0].numpy()
+    taken, errors = set(), []
+    plain = NormalEquations.summed
+
+    def noting(blocks: object, windows: int, every: int) -> object:
+        taken.add(every)
+        return plain(blocks, windows, every)
+
+    def goes_on(error: float) -> bool:
+        errors.append(error)
+        return True
+
+    monkeypatch.setattr(NormalEquations, "summed", noting)
+    monkeypatch.setattr(gauss_newton_module, "ERRORS_A_PARAMETER", most)
+    engine = FastEngine(make(a, seed=6), u, y, Recipe(dtype="float64"))
+    gauss_newton(engine, y, 40, goes_on)
+    assert errors[-1] < 1e-5 * y.var()
+    assert taken == {max(1, 3000 // (most * (engine.model_weights.generator_size + 1)))}

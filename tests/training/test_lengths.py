@@ -18,6 +18,7 @@ from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.gauss_newton import gauss_newton
+from nnss_cli.training.least_squares import Block
 from nnss_cli.training.recipe import Recipe
 
 LENGTHS = (7, 12, 7, 4)
@@ -71,19 +72,21 @@ def test_the_loss_weighs_each_window_by_its_samples(scheduling: str, consistency
 
 
 @pytest.mark.parametrize("scheduling", SCHEDULING)
-def test_derivatives_agree_window_after_window(scheduling: str) -> None:
+def test_derivatives_agree_window_after_window(scheduling: str, whole: Callable) -> None:
     a = architecture(scheduling)
     u, y = signals(a)
     x0 = np.random.default_rng(2).standard_normal((len(LENGTHS), a.order))
     model = make(a)
-    fast, plain = (engine(model, u, y, Recipe()).sensitivities(x0) for engine in (FastEngine, ReferenceEngine))
+    fast, plain = (
+        whole(engine(model, u, y, Recipe()).sensitivities(x0), len(u)) for engine in (FastEngine, ReferenceEngine)
+    )
     for ours, theirs in zip(fast, plain, strict=True):
         assert ours.shape == theirs.shape
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11 * max(1.0, np.abs(theirs).max()))
     row = state = 0
     p = fast[1].shape[1] - x0.size
     for i, L in enumerate(LENGTHS):  # each window is what it is alone
-        e, J, x = FastEngine(model, [u[i]], [y[i]], Recipe()).sensitivities(x0[i : i + 1])
+        e, J, x = whole(FastEngine(model, [u[i]], [y[i]], Recipe()).sensitivities(x0[i : i + 1]), 1)
         rows = slice(row, row + len(e))
         np.testing.assert_array_equal(fast[0][rows], e)
         np.testing.assert_array_equal(fast[2][state : state + len(x)], x)
@@ -102,14 +105,14 @@ def experiments(data: FittingData, *lengths: int) -> FittingData:
     return replace(data, train=train, scaling=Scaling.of(train))
 
 
-def test_the_jacobian_of_whole_records_has_a_row_for_each_sample(small_data: Callable) -> None:
+def test_the_jacobian_of_whole_records_has_a_row_for_each_sample(small_data: Callable, whole: Callable) -> None:
     """100 and 600 samples: 700 rows, where 502 windows of 100 made 50200."""
     data = experiments(small_data(K=2100).fitting, 100, 600)
     recipe = Recipe(hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1)
     model = make(recipe.architecture(2, 1, 1))
     u, y = sliding_windows(data.normalised()[0], recipe.window, recipe.stride)
     engine = FastEngine(model, u, y, recipe)
-    _, J, _ = engine.sensitivities(np.zeros((2, 2)))
+    _, J, _ = whole(engine.sensitivities(np.zeros((2, 2))), 2)
     assert J.shape == (700, engine.model_weights.generator_size + 2 * 2)
 
 
@@ -121,9 +124,9 @@ def test_the_encoder_is_regressed_on_every_state(scheduling: str) -> None:
     seen: list[np.ndarray] = []
     plain = engine.sensitivities
 
-    def noting(x0: np.ndarray) -> tuple:
-        found = plain(x0)
-        seen.append(found[2])
+    def noting(x0: np.ndarray) -> list[Block]:
+        found = list(plain(x0))
+        seen.append(np.concatenate([block.x for block in found]))
         return found
 
     engine.sensitivities = noting  # type: ignore[method-assign]

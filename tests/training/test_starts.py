@@ -15,7 +15,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import fit as module
-from nnss_cli.training import gauss_newton as optimiser
+from nnss_cli.training import least_squares as optimiser
 from nnss_cli.training.encoder import encoder_map, set_encoder
 from nnss_cli.training.engine import ReferenceEngine
 from nnss_cli.training.fast import FastEngine
@@ -142,7 +142,8 @@ def test_a_singular_gram_matrix_is_damped(monkeypatch: pytest.MonkeyPatch) -> No
     losses: list[float] = []
 
     def evaluate(point: np.ndarray) -> tuple:
-        return column[:, 0] * point.sum() - target, np.repeat(column, 50, axis=1), np.zeros((0, 1))
+        errors, J = column[:, 0] * point.sum() - target, np.repeat(column, 50, axis=1)
+        return optimiser.NormalEquations.of(errors, J), np.zeros((0, 1))
 
     def accepted(_: np.ndarray, loss: float, __: np.ndarray) -> bool:
         losses.append(loss)
