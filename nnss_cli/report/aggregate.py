@@ -178,6 +178,11 @@ def released_table() -> pd.DataFrame:
     return _reference("released_models.csv")
 
 
+def published_table() -> pd.DataFrame:
+    """Errors published for the official benchmarks: dataset, test_set, unit, method, rmse, source."""
+    return _reference("published_benchmarks.csv")
+
+
 def _reference(name: str) -> pd.DataFrame:
     with (resources.files("nnss_cli.report") / name).open(encoding="utf-8") as stream:
         return pd.read_csv(stream)

@@ -15,6 +15,8 @@ from nnss_cli.datasets.download import fetch, install
 from nnss_cli.datasets.record import Dataset, FloatArray
 from real_files import OFFICIAL
 
+from nnss_cli.report.aggregate import published_table
+
 HASHES = {
     "dataBenchmark.mat": "cb2f88d4388be4d3f2a24c6402fba804976aac5f2e1f26cda59ea0a38d016eab",
     "DATAUNIF.MAT": "102c8d8012d6e850d50c13227b8c2280fe69f8bc4a845177f8bc3d761d152c89",
@@ -241,3 +243,10 @@ def test_the_official_loader_splits_likewise(
         assert dataset.fitting.init_window == theirs.state_initialization_window_length
         # the file's time axis of EMPS is rounded to 24 bits
         assert record.Ts == pytest.approx(float(theirs.sampling_time), rel=1e-4 if name == "emps" else 1e-12)
+
+
+def test_published_errors_are_of_these_test_sets_and_units() -> None:
+    for name, published in PUBLISHED.items():
+        rows = published_table().query(f"dataset == '{name}'")
+        assert set(rows["test_set"]) == set(published.splits) - {"train", "val"}
+        assert set(rows["unit"]) == {published.unit}
