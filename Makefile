@@ -78,7 +78,7 @@ reproduce: install ## The paper's study and ours, ending in results/report.md: S
 	$(NNSS) report --no-times --out $(OUT)
 
 studies: install ## Ablations and the price of stability, to be followed by `make reproduce` for the report
-	for dataset in twotank daisy-powerplant robotarm; do for study in recipe stability; do \
+	for dataset in twotank daisy-powerplant robotarm; do for study in recipe class stability; do \
 	  $(NNSS) ablate $$dataset --study $$study --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
 	done; done
 

@@ -298,6 +298,14 @@ def ssest(
     return min(eligible, key=lambda model: simulation_rms(model, val, init_window))
 
 
+def ssest_by_validation(
+    train: tuple[Record, ...], val: tuple[Record, ...], order: int, init_window: int = 1
+) -> LinearStateSpace:
+    """Of `ssest` without and with feedthrough, the model that validates better; see there for the arguments."""
+    models = [ssest(train, val, order, feedthrough, init_window) for feedthrough in (False, True)]
+    return min(models, key=lambda model: simulation_rms(model, val, init_window))
+
+
 def criterion_value(model: LinearStateSpace, records: tuple[Record, ...], criterion: Criterion) -> float:
     """trace or log det of the residual covariance of scored simulations."""
     e = scored_residuals(model, records)

@@ -16,7 +16,12 @@ from nnss_cli.commands.record_options import with_record_options
 def command(
     dataset: opt.DatasetName,
     study: Annotated[
-        str, typer.Option("--study", metavar="recipe|stability", help="Which switches: the recipe's, or of stability.")
+        str,
+        typer.Option(
+            "--study",
+            metavar="recipe|class|stability",
+            help="Which switches: the recipe's, of the model class, or of stability.",
+        ),
     ] = "recipe",
     orders: opt.Orders = None,
     seeds: opt.Seeds = 10,

@@ -54,6 +54,7 @@ class RunProgress:
         work = sum(_work(spec) for spec in specs)
         self.overall = self.progress.add_task("all runs", total=work, state=f"0/{self.total}")
         self.tasks: dict[str, Any] = {}
+        self.shown: dict[str, int] = {}  # epochs of a run that count; candidates and stages may take more
 
     def __enter__(self) -> RunProgress:
         self.progress.start()
@@ -73,7 +74,9 @@ class RunProgress:
                 completed=event.epoch,
                 state=f"epoch {event.epoch}, val {event.val_rmse:.4f}",
             )
-            self.progress.advance(self.overall)
+            counted = min(event.epoch, _work(event.spec))
+            self.progress.advance(self.overall, counted - self.shown.get(label, 0))
+            self.shown[label] = counted
 
     def on_result(self, result: RunResult) -> None:
         """Count a finished run."""
@@ -82,7 +85,9 @@ class RunProgress:
         if task is not None:
             self.progress.remove_task(task)
         self.progress.update(
-            self.overall, advance=_work(result.spec) - result.epochs, state=f"{self.finished}/{self.total}"
+            self.overall,
+            advance=_work(result.spec) - self.shown.pop(result.spec.label, 0),
+            state=f"{self.finished}/{self.total}",
         )
         outcome = result.status if result.status == "ok" else f"{result.status}: {result.reason}"
         line = f"[{self.finished}/{self.total}] {describe(result.spec)}: {outcome} ({result.fit_seconds:.1f} s)"

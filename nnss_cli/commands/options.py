@@ -136,6 +136,9 @@ FIT_OPTIONS: dict[str, Any] = {
     "hidden": _training(list[int], "--hidden", "N …", "Widths of the generator's layers, e.g. --hidden 100 100."),
     "encoder": _training(list[int], "--encoder", "N …", "Widths of the encoder's layers."),
     "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y", "What schedules the matrices."),
+    "feedthrough": _training(
+        str, "--feedthrough", "auto|yes|no", "D in y = C x + D u, of NN-SS and SSEST; auto: validation decides."
+    ),
     "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
@@ -152,7 +155,6 @@ FIT_OPTIONS: dict[str, Any] = {
     "horizon": Horizon,
     "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),
     "start": _baseline(str, "--simba-start", "n4sid|random", "SIMBa: where it starts (default n4sid)."),
-    "feedthrough": _baseline(bool, "--feedthrough", None, "SSEST: estimate D as well."),
 }
 
 

@@ -29,6 +29,13 @@ STUDIES: dict[str, dict[str, Settings]] = {
         "scheduling x+u": {"scheduling": "x+u"},
         "scheduling x+y": {"scheduling": "x+y"},
     },
+    "class": {
+        "the recipe as it is": {},
+        "without feedthrough": {"feedthrough": "no"},
+        "with feedthrough": {"feedthrough": "yes"},
+        "scheduling x+u": {"scheduling": "x+u"},
+        "scheduling x+u, with feedthrough": {"scheduling": "x+u", "feedthrough": "yes"},
+    },
     "stability": {
         "schur": {"stability": "schur"},
         "contraction": {"stability": "contraction"},

@@ -61,7 +61,7 @@ def draw(trial: optuna.Trial, shortest: int, given: Settings) -> dict[str, Any]:
 
 def settings_of(values: dict[str, Any], given: Settings) -> Settings:
     """The settings that values of a search stand for, with those that were given."""
-    found: Settings = {"optimiser": "adam", "initial": "random"}
+    found: Settings = {"optimiser": "adam", "initial": "random", "feedthrough": "no"}
     for name, value in values.items():
         if name == "depth":
             found["hidden"] = (values["width"],) * value

@@ -103,7 +103,8 @@ class NNSS(Method):
             epochs=training.epochs,
             best_epoch=training.best_epoch,
             diverged=training.diverged,
-            history={"train_loss": training.train_loss, "val_rmse": training.val_rmse},
+            history={"train_loss": training.train_loss, "val_rmse": training.val_rmse}
+            | {f"val_rmse, feedthrough {name}": [error] for name, error in training.candidates.items()},
             remarks=training.remarks,
         )
 

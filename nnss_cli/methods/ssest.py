@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from nnss_cli.datasets.record import FittingData, Presets
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods.linear import LINEAR
+from nnss_cli.methods.options import chosen_options
 from nnss_cli.methods.protocol import Fit, Method, Settings
 
 
@@ -14,8 +16,8 @@ from nnss_cli.methods.protocol import Fit, Method, Settings
 class SSESTOptions:
     """What SSEST can be told."""
 
-    feedthrough: bool = False
-    """Estimate D as well."""
+    feedthrough: Literal["auto", "yes", "no"] | None = None
+    """Whether D is estimated: yes, no (default of protocol paper), or auto, where validation decides."""
 
 
 class SSEST(Method):
@@ -27,9 +29,14 @@ class SSEST(Method):
     options = SSESTOptions
     models = LINEAR
 
+    def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
+        """Without D under protocol paper, which repeats the paper's tables; elsewhere validation decides."""
+        default = "no" if data.protocol == "paper" else "auto"
+        return {"feedthrough": default} | chosen_options(SSESTOptions, overrides)
+
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """Without D."""
-        return {"feedthrough": False}
+        return {"feedthrough": "no"}
 
     def prepare(self, settings: Settings) -> None:
         """Import it."""
@@ -38,10 +45,14 @@ class SSEST(Method):
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Refine subspace models to convergence."""
         from nnss_cli.baselines.linear_model import LinearModel
-        from nnss_cli.baselines.ssest import ssest
+        from nnss_cli.baselines.ssest import ssest, ssest_by_validation
 
         train, val = data.normalised()
-        return Fit(LinearModel.of(ssest(train, val, order, settings["feedthrough"], data.init_window), data))
+        if settings["feedthrough"] == "auto":
+            model = ssest_by_validation(train, val, order, data.init_window)
+        else:
+            model = ssest(train, val, order, settings["feedthrough"] == "yes", data.init_window)
+        return Fit(LinearModel.of(model, data))
 
 
 METHODS = (SSEST(),)

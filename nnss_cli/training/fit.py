@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from nnss_cli.baselines.feedthrough import feedthrough_p_value
 from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
-from nnss_cli.datasets.windows import sliding_windows
+from nnss_cli.datasets.windows import SHORTEST, sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
@@ -24,6 +25,12 @@ from nnss_cli.training.warm import linear_start, warm_start
 
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
+TRIAL = 0.25
+"""Share of the epochs after which a candidate that is still behind the one before is given up."""
+LEVEL = 0.01
+"""Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
+PAYS = 0.2
+"""What a further candidate must take off the validation error, relative."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Training:
     """Validation error of each epoch: RMSE of a free run in normalised units."""
     remarks: tuple[str, ...] = ()
     """What a reader of the result must know of the start and what came of it."""
+    candidates: dict[str, float] = field(default_factory=dict)
+    """Feedthrough → validation error after the first stage, where it was open."""
 
 
 def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:
@@ -60,45 +69,158 @@ def train_nnss(
 ) -> Training:
     """Train an NN-SS model.
 
+    Every candidate of the recipe trains on the first stage; the one that `chosen` takes goes through the others. A
+    feedthrough is a candidate only where the input shows at once in the training records.
+
     Args:
         data: train and validation records, physical units.
         order: number of states n.
         seed: of the initial weights and the shuffling.
         recipe: architecture and training.
-        on_epoch: called after each epoch with its number, loss and validation error.
+        on_epoch: called after each epoch with its number, loss and validation error. Epochs count on over candidates.
 
     Raises:
         InputError: a training record is shorter than the window.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
-    train, val = data.normalised()
-    u, y = sliding_windows(train, recipe.window, recipe.stride)
+    first, *further = stages(data.normalised()[0], recipe)
+    attempts: list[_Attempt] = []
+    candidates = recipe.candidates()
+    if len(candidates) > 1 and feedthrough_p_value(data.train) > LEVEL:
+        candidates = candidates[:1]
+    for candidate in candidates:
+        before = sum(len(attempt.watch.losses) for attempt in attempts)
+        rival = min((attempt.error for attempt in attempts), default=math.inf)
+        attempts.append(_Attempt(data, order, seed, candidate, first, rival, _after(before, on_epoch)))
+        attempts[-1].train(first, recipe.epochs)
+    taken = attempts[chosen([attempt.error for attempt in attempts])]
+    for index, records in enumerate(further, 1):
+        if not taken.watch.diverged:
+            taken.train(records, max(1, recipe.epochs // 2**index))
+    errors = {attempt.recipe.feedthrough: attempt.error_of_first_stage for attempt in attempts}
+    return taken.training(errors if len(attempts) > 1 else {})
 
-    architecture = recipe.architecture(order, data.input_count, data.output_count)
-    model = NNSS(architecture, data.scaling, data.channels, data.Ts)
-    start, remarks = begin(model, recipe.initial, train, val, seed, data.init_window)
-    engine = build_engine(model, u, y, recipe)
 
-    batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
-    watch = _Watch(engine, val, data.init_window, recipe, batches, on_epoch)
-    try:
-        if start != "random":
-            watch.start()
-        if recipe.optimiser == "adam":
-            _adam(engine, len(u), batches, recipe, named_random(seed, "shuffling"), watch)
-            if recipe.refine > 0 and not watch.diverged:
+def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]]:
+    """What Gauss–Newton on whole records sees, one after the other: their beginnings, four times as much each time.
+
+    A long record costs as much an iteration as all those that a short beginning of it needs. Elsewhere there is one
+    stage. The last one is all there is, and the one before at most half of it.
+
+    Args:
+        train: experiments.
+        recipe: `lead` is the length of the first stage, samples of all experiments together.
+    """
+    total, found = sum(len(record) for record in train), []
+    if recipe.lead and recipe.window == 0 and recipe.optimiser == "gauss-newton":
+        length = recipe.lead
+        while 2 * length <= total:
+            kept = [max(SHORTEST, math.ceil(len(record) * length / total)) for record in train]
+            found.append(tuple(record[:K] for record, K in zip(train, kept, strict=True)))
+            length *= 4
+    return [*found, train]
+
+
+def chosen(errors: Sequence[float]) -> int:
+    """Which candidate is taken: the first, unless a later one has a validation error lower by more than `PAYS`.
+
+    Args:
+        errors: of the candidates on validation, the simplest first; inf for one that diverged.
+    """
+    taken = 0
+    for index, error in enumerate(errors):
+        if error < (1 - PAYS) * errors[taken]:
+            taken = index
+    return taken
+
+
+def _after(before: int, on_epoch: EpochCallback | None) -> EpochCallback | None:
+    """`on_epoch` with numbers that go on after those `before`."""
+    if on_epoch is None or before == 0:
+        return on_epoch
+    return lambda epoch, loss, error: on_epoch(before + epoch, loss, error)
+
+
+class _Attempt:
+    """One candidate: its model, its start and what came of it so far."""
+
+    def __init__(
+        self,
+        data: FittingData,
+        order: int,
+        seed: int,
+        recipe: Recipe,
+        train: tuple[Record, ...],
+        rival: float,
+        on_epoch: EpochCallback | None,
+    ) -> None:
+        """Build the model and its start from the records of the first stage, normalised.
+
+        It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it.
+        """
+        self.recipe, self.seed = recipe, seed
+        val = data.normalised()[1]
+        architecture = recipe.architecture(order, data.input_count, data.output_count)
+        self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
+        self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window)
+        self.watch = _Watch(val, data.init_window, recipe, rival, on_epoch)
+        self.error_of_first_stage = math.inf
+        self.samples = 0  # of the last stage that ended well
+
+    @property
+    def error(self) -> float:
+        """Lowest validation error so far; inf for a training that was given up."""
+        return math.inf if self.watch.diverged else self.watch.stopping.best
+
+    def train(self, records: tuple[Record, ...], epochs: int) -> None:
+        """Go on from the best weights so far, on these records, normalised."""
+        recipe, watch, later = self.recipe, self.watch, self.samples > 0
+        u, y = sliding_windows(records, recipe.window, recipe.stride)
+        batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
+        watch.take(build_engine(self.model, u, y, recipe), batches if recipe.patience_unit == "steps" else 1)
+        try:
+            if later:
                 watch.begin_again()
-                gauss_newton(engine, y, min(recipe.refine, recipe.epochs), watch.goes_on, recipe.fixed_encoder)
-        elif recipe.optimiser == "lbfgs":
-            _lbfgs(engine, recipe.epochs, watch)
-        else:
-            gauss_newton(engine, y, recipe.epochs, watch.goes_on, recipe.fixed_encoder)
-    except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
-        watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
-    if start != "random" and watch.best_epoch == 0 and not watch.diverged:
-        remarks += (f"validation refused every step away from the {start} start",)
-    model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
-    return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors, remarks)
+            elif self.start != "random":
+                watch.start()
+            if recipe.optimiser == "adam":
+                _adam(watch.engine, len(u), batches, recipe, named_random(self.seed, "shuffling"), watch)
+                if recipe.refine > 0 and not watch.diverged:
+                    watch.begin_again()
+                    gauss_newton(watch.engine, y, min(recipe.refine, epochs), watch.goes_on, recipe.fixed_encoder)
+            elif recipe.optimiser == "lbfgs":
+                _lbfgs(watch.engine, epochs, watch)
+            else:
+                gauss_newton(watch.engine, y, epochs, watch.goes_on, recipe.fixed_encoder)
+        except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
+            watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
+        samples = sum(len(record) for record in records)
+        if later and watch.diverged:
+            self.remarks += (f"trained on the first {self.samples} samples: on {samples}, {watch.diverged}",)
+            watch.diverged = ""
+            return
+        self.samples = samples
+        if not later:
+            self.error_of_first_stage = self.error
+
+    def training(self, candidates: dict[str, float]) -> Training:
+        """What came of it, with the best weights in the model."""
+        watch, remarks = self.watch, self.remarks
+        if self.start != "random" and watch.best_epoch == 0 and not watch.diverged:
+            remarks += (f"validation refused every step away from the {self.start} start",)
+        if len(candidates) > 1 and self.recipe.feedthrough == "yes":
+            remarks += (f"feedthrough taken: it lowers the validation error by more than {PAYS:.0%}",)
+        self.model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
+        return Training(
+            self.model,
+            len(watch.losses),
+            watch.best_epoch,
+            watch.diverged,
+            watch.losses,
+            watch.errors,
+            remarks,
+            candidates,
+        )
 
 
 def begin(
@@ -131,7 +253,8 @@ def begin(
     if initial == "random":
         return initial, remarks
     try:
-        linear = linear_start(train, val, model.architecture.order, model.architecture.gamma, init_window)
+        a = model.architecture
+        linear = linear_start(train, val, a.order, a.gamma, init_window, a.feedthrough)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
     if initial == "feedback":
@@ -153,21 +276,28 @@ def begin(
 class _Watch:
     """Takes in each epoch: the validation run, the best weights, whether to stop."""
 
+    engine: Engine
+
     def __init__(
         self,
-        engine: Engine,
         val: tuple[Record, ...],
         init_window: int,
         recipe: Recipe,
-        batches: int,
+        rival: float,
         on_epoch: EpochCallback | None,
     ) -> None:
-        self.engine, self.val, self.init_window, self.on_epoch = engine, val, init_window, on_epoch
-        self.epoch_waits = batches if recipe.patience_unit == "steps" else 1
+        self.val, self.init_window, self.on_epoch = val, init_window, on_epoch
+        self.rival, self.trial = rival, max(1, int(TRIAL * recipe.epochs))
         self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
-        self.kept, self.best_epoch, self.diverged = engine.weights(), 0, ""
+        self.kept: Tensors = {}
+        self.best_epoch, self.diverged, self.epoch_waits = 0, "", 1
         self.losses: list[float] = []
         self.errors: list[float] = []
+
+    def take(self, engine: Engine, epoch_waits: int) -> None:
+        """Watch this engine from now on; an epoch adds `epoch_waits` to the wait."""
+        self.engine, self.epoch_waits = engine, epoch_waits
+        self.kept = self.kept or engine.weights()
 
     def start(self) -> None:
         """Let the weights before the first epoch count: a warm start may be the best there is."""
@@ -198,7 +328,8 @@ class _Watch:
             self.kept, self.best_epoch = self.engine.weights(), epoch
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
-        return not self.stopping.stop
+        behind = epoch == self.trial and self.stopping.best > self.rival
+        return not (self.stopping.stop or behind)
 
 
 def _adam(

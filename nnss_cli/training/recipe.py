@@ -17,6 +17,7 @@ ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
 STARTS = ("random", "linear", "feedback")
+FEEDTHROUGHS = ("auto", "yes", "no")
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Recipe:
     """What the generator sees: x, x+u, x+y or x+u+y."""
     stability: str = "schur"
     """schur (A(ρ) Schur), contraction (a common Lyapunov function) or none."""
+    feedthrough: str = "no"
+    """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     gamma: float = 1.0
     """Bound on the spectral radius of A(ρ), or on its norm (contraction)."""
     epsilon: float = EPSILON
@@ -57,6 +60,8 @@ class Recipe:
     """Relative improvement of the validation error that resets the patience."""
     optimiser: str = "adam"
     """adam on mini-batches; lbfgs or gauss-newton on all windows at once (an epoch is then an iteration)."""
+    lead: int = 0
+    """Samples with which Gauss–Newton on whole records begins, all together, then four times as many …; 0 for all."""
     refine: int = 0
     """Gauss–Newton iterations from the best epoch of Adam, at most, and at most `epochs`."""
     initial: str = "random"
@@ -75,6 +80,8 @@ class Recipe:
             raise unknown("unit of patience", self.patience_unit, PATIENCE_UNITS)
         if self.initial not in STARTS:
             raise unknown("start", self.initial, STARTS)
+        if self.feedthrough not in FEEDTHROUGHS:
+            raise unknown("feedthrough", self.feedthrough, FEEDTHROUGHS)
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
@@ -82,23 +89,30 @@ class Recipe:
             raise InputError(
                 f"window: expected at least {SHORTEST} samples, or 0 for whole records, found {self.window}"
             )
-        if self.refine < 0:
-            raise InputError(f"refine: expected at least 0, found {self.refine}")
+        for name in ("refine", "lead"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name}: expected at least 0, found {getattr(self, name)}")
         if not self.learning_rate > 0 or self.consistency < 0:
             raise InputError(
                 f"expected a positive learning rate and lambda ≥ 0, found {self.learning_rate} and {self.consistency}"
             )
 
     def architecture(self, order: int, inputs: int, outputs: int) -> Architecture:
-        """The model that this recipe trains.
+        """The model that this recipe trains; under feedthrough auto, the one without.
 
         Raises:
             InputError: a width, gamma, epsilon, scheduling or dtype is out of range.
         """
         return Architecture(
             order, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
-            self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
+            self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability, self.feedthrough == "yes",
         )  # fmt: skip
+
+    def candidates(self) -> tuple[Recipe, ...]:
+        """The recipes among which validation chooses, the simplest first: itself, or with and without feedthrough."""
+        if self.feedthrough != "auto":
+            return (self,)
+        return tuple(dataclasses.replace(self, feedthrough=each) for each in ("no", "yes"))
 
     def replace(self, **changes: Any) -> Recipe:
         """The recipe with what is not None in `changes`."""
@@ -109,11 +123,11 @@ class Recipe:
 # reproduces; with 400 epochs most train far longer and end well below (docs/recipes.md).
 _PAPER = Recipe(patience_unit="steps")
 
-# Found on validation, protocol paper (docs/recipes.md). Simulations of whole records, exact second-order steps
+# Found on validation (docs/recipes.md). Simulations of whole records, exact second-order steps
 # from a good linear model, and so few weights that a full Jacobian is cheap: seconds a run.
 _BEST = Recipe(
     hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="feedback",
-    optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0,
+    optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0, feedthrough="auto", lead=5000,
 )  # fmt: skip
 _RECIPES = {"best": _BEST, "paper": _PAPER}
 

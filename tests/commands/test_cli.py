@@ -60,7 +60,7 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     assert "instead of" in refused.err
 
 
-@pytest.mark.parametrize("study", ["recipe", "stability"])
+@pytest.mark.parametrize("study", ["recipe", "class", "stability"])
 def test_studies(nnss: Callable, study: str) -> None:
     call = ("ablate", "twotank-sim", "--study", study, "--orders", "2", "--seeds", "2", "--epochs", "2", "--jobs", "1")
     outcome = nnss(*call)

@@ -14,7 +14,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "none": {},
     "shared": {"epochs": 7, "window": 40, "learning_rate": 0.01, "patience_unit": "steps", "gamma": 0.9},
     "of nnss": {"recipe": "paper", "hidden": (5, 6), "consistency": 0.5, "engine": "reference", "fixed_encoder": True},
-    "of the others": {"horizon": "matlab", "kernel": "dc", "feedthrough": True, "start": "random"},
+    "of the others": {"horizon": "matlab", "kernel": "dc", "feedthrough": "yes", "start": "random"},
 }
 
 
@@ -34,7 +34,7 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 
 
 def test_settings_are_those_of_the_runs_on_disk() -> None:
-    """Made before methods declared options (e12defe) by `python tests/methods/test_settings.py`."""
+    """Made by `python tests/methods/test_settings.py`; since e12defe only `feedthrough` and `lead` were added."""
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
 

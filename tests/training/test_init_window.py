@@ -96,7 +96,7 @@ def test_ssest_and_the_order_table_choose_by_the_score(windowed: Dataset, monkey
         return plain(model, records, init_window)
 
     monkeypatch.setattr(ssest_module, "simulation_rms", noting)
-    METHODS["ssest"].fit(windowed.fitting, 2, 0, {"feedthrough": False}, None)
+    METHODS["ssest"].fit(windowed.fitting, 2, 0, {"feedthrough": "no"}, None)
     METHODS["nnss"].fit(windowed.fitting, 2, 0, METHODS["nnss"].settings(windowed.fitting, 2, QUICK), None)
     assert {w for of_val, w in seen if of_val} == {W}
     row = order_table(windowed.fitting, 2, "auto")[1]

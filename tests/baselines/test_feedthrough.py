@@ -1,0 +1,57 @@
+"""The test for a feedthrough has its level, also on nonlinear systems, and its power."""
+
+import numpy as np
+import pytest
+from nnss_cli.baselines.feedthrough import feedthrough_p_value
+from nnss_cli.datasets.record import Record
+
+
+def record(random: np.random.Generator, K: int, D: float, r: int = 1, m: int = 1, held: int = 1) -> Record:
+    """A saturating system with measurement noise; the input is held for `held` samples."""
+    u = np.repeat(random.standard_normal((K // held + 1, r)), held, axis=0)[:K]
+    x, y = np.zeros(2), np.empty((K, m))
+    B = np.array([0.0, 0.3])
+    for k in range(K):
+        y[k] = x[0] + np.arange(m) * x[1] + D * u[k].sum()
+        x = np.array([[0.9, 0.2], [-0.2, 0.8]]) @ x + B * u[k].sum() - np.array([0.0, 0.2]) * np.tanh(3 * x[1])
+    return Record(u, y + 0.1 * random.standard_normal(y.shape), 1.0)
+
+
+@pytest.mark.parametrize(("K", "r", "m", "held"), [(300, 1, 1, 1), (300, 2, 3, 1), (600, 1, 1, 20), (40, 1, 1, 1)])
+def test_no_feedthrough_is_found_where_there_is_none(K: int, r: int, m: int, held: int) -> None:
+    """At most 1 in 100, and some, over 400 records: more than 11 would have a probability below 0.1 %."""
+    random = np.random.default_rng(0)
+    found = sum(feedthrough_p_value((record(random, K, 0.0, r, m, held),)) < 0.01 for _ in range(400))
+    assert found <= 11
+
+
+def test_a_feedthrough_of_the_size_of_the_noise_is_found() -> None:
+    random = np.random.default_rng(1)
+    assert all(feedthrough_p_value((record(random, 300, 0.1),)) < 0.01 for _ in range(100))
+
+
+def test_several_experiments_count_together_and_short_ones_say_nothing() -> None:
+    random = np.random.default_rng(2)
+    halves = tuple(record(random, 60, 0.1) for _ in range(5))
+    assert feedthrough_p_value(halves) < 1e-6
+    assert feedthrough_p_value((record(random, 9, 1.0),)) == 1.0
+    assert (
+        feedthrough_p_value((record(random, 100, 1.0), record(random, 5, 1.0))) < 0.01
+    )  # the short one is passed over
+
+
+def test_units_have_no_part_in_it() -> None:
+    """Nor has an offset, for an input as smooth as a sum of slow sines, whose past is nearly of low rank."""
+    random = np.random.default_rng(3)
+    k = np.arange(400)[:, None]
+    u = np.sin(0.11 * k) + np.sin(0.071 * k + 1) + np.sin(0.043 * k + 2)
+    y = np.cumsum(u, axis=0) / 20 + 0.01 * random.standard_normal(u.shape)
+    scaled = Record(1e3 * u + 5e4, 1e-4 * y - 7, 1.0)
+    assert feedthrough_p_value((scaled,)) == pytest.approx(feedthrough_p_value((Record(u, y, 1.0),)), rel=0.02)
+
+
+def test_data_that_tell_nothing_are_no_reason_to_try() -> None:
+    constant = Record(np.ones((100, 1)), np.ones((100, 1)), 1.0)
+    assert feedthrough_p_value((constant,)) == 1.0
+    still = Record(np.ones((100, 1)), np.random.default_rng(0).standard_normal((100, 1)), 1.0)
+    assert feedthrough_p_value((still,)) > 0.01

@@ -1,0 +1,192 @@
+"""Feedthrough and stages: what is found, who is taken, and that a short record trains as before."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from nnss_cli.baselines.ssest import ssest, ssest_by_validation
+from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
+from nnss_cli.datasets.record import Dataset, FittingData, Record, Scaling
+
+from nnss_cli.errors import InputError
+from nnss_cli.methods import METHODS
+from nnss_cli.training import fit as module
+from nnss_cli.training.fit import chosen, stages, train_nnss
+from nnss_cli.training.recipe import Recipe, recipe_of
+
+RECIPE = Recipe(
+    hidden=(4,), encoder=(4,), dtype="float64", window=0, optimiser="gauss-newton", initial="feedback", epochs=40,
+    patience=40, consistency=0.0, feedthrough="auto",
+)  # fmt: skip
+
+
+def records(plant: Callable[[np.ndarray], np.ndarray], *lengths: int) -> tuple[Record, ...]:
+    random = np.random.default_rng(5)
+    inputs = [random.standard_normal((K, 1)) for K in lengths]
+    return tuple(Record(u, plant(u), 1.0) for u in inputs)
+
+
+def with_feedthrough(u: np.ndarray) -> np.ndarray:
+    """A saturating system whose input shows at once: half of the output's variance is D u."""
+    x, y = np.zeros(2), np.empty((len(u), 1))
+    A, B = np.array([[0.9, 0.2], [-0.2, 0.9]]), np.array([0.0, 0.3])
+    for k, (now,) in enumerate(u):
+        y[k] = x[0] + 0.8 * now
+        x = A @ x + B * now - np.array([0.0, 0.15]) * np.tanh(2 * x[0])
+    return y
+
+
+def without_feedthrough(u: np.ndarray) -> np.ndarray:
+    return with_feedthrough(u) - 0.8 * u
+
+
+def fitting(base: Dataset, plant: Callable[[np.ndarray], np.ndarray], K: int = 600) -> FittingData:
+    train, val = records(plant, K, 300)
+    return replace(base.fitting, train=(train,), val=(val,), scaling=Scaling.of((train,)))
+
+
+def test_a_feedthrough_is_found_from_data_without_noise(small_data: Callable) -> None:
+    data = replace(fitting(small_data(), with_feedthrough, K=1500), init_window=10)
+    training = train_nnss(data, 2, 0, RECIPE.replace(hidden=(8,), epochs=100))
+    assert training.model.architecture.feedthrough
+    assert min(training.val_rmse) < 1e-3
+    assert training.candidates["yes"] < 1e-2 < 0.3 < training.candidates["no"]
+    assert training.remarks == ("feedthrough taken: it lowers the validation error by more than 20%",)
+
+
+def test_a_system_without_one_keeps_the_papers_structure(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = fitting(small_data(), without_feedthrough)
+    noisy = tuple(
+        replace(r, y=r.y + 0.05 * np.random.default_rng(1).standard_normal(r.y.shape)) for r in (*data.train, *data.val)
+    )
+    data = replace(data, train=noisy[:1], val=noisy[1:])
+    auto, plain = (train_nnss(data, 2, 0, RECIPE.replace(feedthrough=each)) for each in ("auto", "no"))
+    assert not auto.model.architecture.feedthrough
+    assert auto.val_rmse == plain.val_rmse
+    assert auto.candidates == plain.candidates == {}  # none was tried
+    monkeypatch.setattr(module, "feedthrough_p_value", lambda _: 0.0)
+    tried = train_nnss(data, 2, 0, RECIPE)
+    assert not tried.model.architecture.feedthrough
+    assert tried.val_rmse == plain.val_rmse  # to the last bit: the other candidate left no trace
+    assert set(tried.candidates) == {"no", "yes"}
+
+
+def test_a_candidate_must_pay() -> None:
+    assert chosen([1.0, 0.81]) == 0
+    assert chosen([1.0, 0.79]) == 1
+    assert chosen([np.inf, 2.0]) == 1
+    assert chosen([np.inf, np.inf]) == 0
+    assert chosen([1.0, np.inf]) == 0
+
+
+def test_stages_are_beginnings_four_times_as_long_each_and_end_with_everything() -> None:
+    recipe = RECIPE.replace(lead=100)
+    (train,) = records(without_feedthrough, 3500)
+    assert [len(part[0]) for part in stages((train,), recipe)] == [100, 400, 1600, 3500]
+    assert all((part[0].y == train.y[: len(part[0])]).all() for part in stages((train,), recipe))
+    several = records(without_feedthrough, 300, 100)
+    assert [[len(r) for r in part] for part in stages(several, recipe)] == [[75, 25], [300, 100]]
+    assert stages(several, RECIPE.replace(lead=201)) == [several]  # half of it would be no less work
+    for plain in (RECIPE, recipe.replace(window=50), recipe.replace(optimiser="adam", initial="random")):
+        assert stages((train,), plain) == [(train,)]
+
+
+def test_only_the_candidate_taken_goes_on(small_data: Callable) -> None:
+    data = fitting(small_data(), with_feedthrough)
+    epochs: list[int] = []
+    training = train_nnss(data, 2, 0, RECIPE.replace(lead=150, epochs=4), lambda epoch, *_: epochs.append(epoch))
+    assert training.epochs == 4 + 2  # of the first stage, and half as many of the second
+    assert epochs == list(range(1, len(epochs) + 1))
+    assert 2 * 4 >= len(epochs) - 2 > 4
+    errors = training.candidates
+    assert errors["yes"] <= min(training.val_rmse[:4])  # the start counts too
+    assert min(training.val_rmse) <= errors["yes"]
+
+
+def test_a_later_stage_begins_at_the_best_weights(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = fitting(small_data(), without_feedthrough)
+    recipe = RECIPE.replace(lead=150, epochs=6, feedthrough="no")
+    errors = iter([5.0, 3.0, 1.0, 2.0, 4.0, 6.0, 7.0, 9.0, 9.0, 9.0])  # the start, six epochs, three of the next
+    begun = []
+    plain = module.gauss_newton
+
+    def noting(engine, y, *args) -> None:
+        begun.append((len(y[0]), engine.weights()))
+        plain(engine, y, *args)
+
+    monkeypatch.setattr(module, "gauss_newton", noting)
+    monkeypatch.setattr(module, "free_run_rmse", lambda *_: next(errors))
+    training = train_nnss(data, 2, 0, recipe)
+    assert [length for length, _ in begun] == [150, 600]
+    assert training.best_epoch == 2
+    for name, weight in begun[1][1].items():
+        np.testing.assert_array_equal(weight, training.model.state_dict()[name].numpy())
+        if name == "generator.0.weight":
+            assert (weight != begun[0][1][name]).any()
+
+
+def test_a_stage_that_diverges_leaves_the_model_of_the_one_before(
+    small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = fitting(small_data(), without_feedthrough)
+    plain = module.gauss_newton
+
+    def breaking(engine, y, iterations, goes_on, fixed) -> None:
+        if len(y[0]) == 600:
+            goes_on(np.nan)
+        else:
+            plain(engine, y, iterations, goes_on, fixed)
+
+    monkeypatch.setattr(module, "gauss_newton", breaking)
+    training = train_nnss(data, 2, 0, RECIPE.replace(lead=150, epochs=4, feedthrough="no"))
+    assert not training.diverged
+    assert "trained on the first 150 samples: on 600, the loss became nan in epoch 5" in training.remarks
+    fit = METHODS["nnss"].fit(data, 2, 0, {**vars(RECIPE), "lead": 600, "epochs": 2, "feedthrough": "no"}, None)
+    assert fit.model is None  # a first stage has nothing to fall back on
+
+
+def test_feedthrough_wants_one_of_three_words_and_lead_no_negative_number() -> None:
+    with pytest.raises(InputError, match="feedthrough 'maybe'.*auto, yes, no"):
+        RECIPE.replace(feedthrough="maybe")
+    with pytest.raises(InputError, match="lead: expected at least 0, found -1"):
+        RECIPE.replace(lead=-1)
+
+
+def test_the_papers_recipe_has_neither() -> None:
+    paper, best = recipe_of("paper", {}, 2), recipe_of("best", {}, 2)
+    assert (paper.feedthrough, paper.lead) == ("no", 0)
+    assert (best.feedthrough, best.lead) == ("auto", 5000)
+
+
+def test_ssest_takes_a_feedthrough_that_validates_better(small_data: Callable) -> None:
+    random = np.random.default_rng(0)
+    for D in (0.0, 0.5):
+        plant = LinearStateSpace(np.array([[0.8]]), np.array([[0.5]]), np.array([[1.0]]), np.array([[D]]), 1.0)
+        train, val = (
+            Record(u, plant.simulate(u, np.zeros(1))[0] + 0.05 * random.standard_normal((300, 1)), 1.0)
+            for u in random.standard_normal((2, 300, 1))
+        )
+        found = ssest_by_validation((train,), (val,), 1)
+        errors = [simulation_rms(ssest((train,), (val,), 1, feedthrough), (val,)) for feedthrough in (False, True)]
+        assert simulation_rms(found, (val,)) == min(errors)
+        if D:
+            assert abs(found.D.item() - D) < 0.02
+    data = small_data().fitting
+    for protocol, expected in (("paper", "no"), ("strict", "auto"), ("official", "auto")):
+        assert METHODS["ssest"].settings(replace(data, protocol=protocol), 2, {}) == {"feedthrough": expected}
+
+
+def test_a_candidate_that_is_still_behind_after_a_quarter_is_given_up(
+    small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = fitting(small_data(), with_feedthrough)
+    recipe = RECIPE.replace(initial="random", epochs=8, feedthrough="auto")
+    for behind, ran in ((1.1, 2), (1.0, 8)):
+        # the first candidate comes down to 1; the second is behind it in its second epoch, or level
+        errors = iter([3.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, behind, *[0.5] * 6])
+        epochs: list[int] = []
+        monkeypatch.setattr(module, "free_run_rmse", lambda *_, errors=errors: next(errors))
+        training = train_nnss(data, 2, 0, recipe, lambda epoch, *_, epochs=epochs: epochs.append(epoch))
+        assert len(epochs) == 8 + ran
+        assert training.model.architecture.feedthrough == (ran == 8)
