@@ -1,4 +1,6 @@
-"""A million-row CSV of four columns: read, described and split, against plain pandas.read_csv, each in its own process.
+"""A million-row CSV of four columns: read, described and split, and inspected, against plain pandas.read_csv.
+
+Each in a process of its own.
 
     python benchmarks/reading.py [ROWS]
 
@@ -22,6 +24,8 @@ from nnss_cli.datasets.description import Description
 from nnss_cli.datasets.experiments import load_experiments
 from tabulate import tabulate
 
+from nnss_cli.experiment.inspection_files import examine_files
+
 
 def by_pandas(path: Path) -> None:
     assert pd.read_csv(path).shape[1] == 4
@@ -36,7 +40,12 @@ def by_nnss(path: Path) -> None:
     assert len(found.train[0]) == 3 * len(found.val[0])
 
 
-WAYS = {"pandas.read_csv": by_pandas, "read, described, split": by_nnss}
+def by_inspect(path: Path) -> None:
+    seen = examine_files([str(path)], {"time": "t", "outputs": ["y"]})
+    assert seen.found.split is not None
+
+
+WAYS = {"pandas.read_csv": by_pandas, "read, described, split": by_nnss, "read, inspected, split proposed": by_inspect}
 
 
 def measure(way: str, path: Path) -> None:
