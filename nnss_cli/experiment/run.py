@@ -10,7 +10,7 @@ import numpy as np
 
 from nnss_cli.datasets.record import FloatArray, Scaling
 
-Status: TypeAlias = Literal["ok", "diverged", "failed"]
+Status: TypeAlias = Literal["ok", "diverged", "failed", "timeout", "memory", "crashed"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class RunResult:
     spec: RunSpec
     """Which run."""
     status: Status
-    """ok; diverged (numbers left the finite range); failed (the method could not be applied)."""
+    """ok; diverged (numbers left the finite range); failed (the method could not be applied); timeout, memory (it took
+    more than it may); crashed (its process ended, twice, or the method has a fault)."""
     reason: str
     """Why the status is not ok, or ""."""
     scores: tuple[Score, ...]
