@@ -18,6 +18,7 @@ from nnss_cli.datasets.record import Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
+from nnss_cli.experiment.schema import check_place, check_signals, parse_result
 from nnss_cli.files import remove_leftovers, write_text
 from nnss_cli.modelfile import Tensors, read_tensors, write_tensors
 from nnss_cli.version import __version__
@@ -144,8 +145,22 @@ class Store:
             write_text(folder / "run.json", json.dumps(result.to_json(), indent=1, ensure_ascii=False) + "\n")
 
     def signals(self, spec: RunSpec) -> Tensors:
-        """Measured and simulated outputs and states of a run: '<split>/<record>/y', '…/y_sim', '…/x', '…/u'."""
-        return read_tensors(self.run_folder(spec) / "signals.safetensors")
+        """Measured and simulated outputs and states of a run: '<split>/<record>/y', '…/y_sim', '…/x', '…/u'.
+
+        Raises:
+            InputError: they are missing or damaged, or not those of its scores.
+        """
+        path = self.run_folder(spec) / "signals.safetensors"
+        signals = read_tensors(path)
+        result = self.find(spec)
+        try:
+            if result is not None:
+                check_signals(result, signals)
+        except ValueError as error:
+            raise InputError(
+                f"'{path}' disagrees with the run.json beside it ({error}); remove '{path.parent}' and run it again"
+            ) from error
+        return signals
 
     def conflict(self, spec: RunSpec, results: list[RunResult]) -> str:
         """How finished runs of the same method and order differ from `spec` ("" if they do not).
@@ -208,11 +223,14 @@ def _read(path: Path) -> RunResult | None:
         InputError: it is damaged.
     """
     try:
-        return RunResult.from_json(json.loads(path.read_text(encoding="utf-8")))
+        result = parse_result(path.read_bytes())
+        *_, dataset, protocol, _, label = path.parent.parts
+        check_place(result, dataset, protocol, label)
+        return result
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
-            f"'{path}' is not a finished run of this version ({type(error).__name__}: {error}); "
+            f"'{path}' is not a finished run of this version ({error}); "
             f"remove the folder '{path.parent}' and run it again"
         ) from error

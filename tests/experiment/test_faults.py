@@ -18,8 +18,10 @@ from nnss_cli.datasets.catalog import load
 
 from nnss_cli import files
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.executor import Event, Executor, Serial, Task
 from nnss_cli.experiment.interrupt import deferred, interruptible
 from nnss_cli.experiment.lock import lock
+from nnss_cli.experiment.processes import Limits, Processes
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan, sweep
@@ -241,6 +243,43 @@ def test_a_run_that_another_command_holds_is_waited_for_and_taken_over_when_it_d
     holder.wait()
     holder.stdout.close()
     assert [result.spec.seed for result in finished] == [1, 0]
+
+
+@pytest.mark.parametrize("kind", ["serial", "processes"])
+def test_executors_do_the_same_behind_one_interface(kind: str, method: Path, tmp_path: Path) -> None:
+    store = store_in(tmp_path / "out")
+    dataset = load(store.dataset, store.protocol)
+    (spec,) = plan(store, dataset, select(["trivial"]), [1], range(1), {}, False).todo
+    events: list[Event] = []
+    executor: Executor
+    if kind == "serial":
+        executor = Serial(dataset, store, events.append)
+    else:
+        executor = Processes(1, dataset, store, Limits(), events.append)
+    try:
+        while not executor.free:
+            assert executor.wait(10) == []
+        executor.submit(Task(spec, None))
+        assert not executor.free
+        while not (ended := executor.wait(10)):
+            continue
+        (once,) = ended
+        assert (once.task.spec, once.loss) == (spec, None)
+        assert once.result is not None
+        assert [once.result.spec.label] == [result.spec.label for result in store.results()]
+        assert events == [Event(spec)]
+        executor.submit(Task(spec, None))  # it is there meanwhile: not done again
+        while not (ended := executor.wait(10)):
+            continue
+        assert ended[0].result == store.results()[0]
+        assert events == [Event(spec)]
+        with store.lock(spec):  # another command is at it
+            executor.submit(Task(spec, store.stamp(spec)))
+            while not (ended := executor.wait(10)):
+                continue
+        assert (ended[0].result, ended[0].loss) == (None, None)
+    finally:
+        executor.close()
 
 
 def test_a_lock_is_held_by_one_and_leaves_nothing(tmp_path: Path) -> None:
