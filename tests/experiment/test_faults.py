@@ -108,6 +108,17 @@ def test_a_signal_ends_it_or_costs_nothing_and_the_same_command_goes_on(
     assert not faults.leftovers(out)
 
 
+def test_workers_end_with_a_killed_parent_in_the_midst_of_a_fit(method: Path, tmp_path: Path) -> None:
+    """Not only when they next listen to it."""
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    process = faults.start(faults.command(method, tmp_path / "out", mode="sleep", marks=marks))
+    assert faults.wait_until((marks / "fit-1").exists)
+    faults.send(process, "parent", signal.SIGKILL)
+    ended = faults.ending(process)
+    assert (ended.code, ended.left) == (-signal.SIGKILL, [])
+
+
 def test_a_killed_worker_is_replaced_and_its_run_tried_once_more(method: Path, tmp_path: Path) -> None:
     marks = tmp_path / "marks"
     marks.mkdir()
