@@ -16,7 +16,7 @@ MUTANTS ?= 200
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow mutants lint format reproduce studies bench clean
+.PHONY: help install demo testdata test test-slow soak mutants lint format reproduce studies bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -48,6 +48,10 @@ test: install testdata ## Run the tests (slow ones are left out)
 test-slow: install testdata ## Run the slow tests too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
 
+# Not part of the tests: an hour or two.
+soak: install ## Kill and interrupt sweeps at random and in each phase; figures in docs/reliability.md: ARGS='--times 5'
+	$(BIN)/python tests/soak.py $(ARGS)
+
 # Not part of the tests: an hour or so. .mutants/survivors.diff tells what no test noticed; docs/testing.md.
 mutants: install testdata ## How many small faults in the code the tests notice, on a sample: MUTANTS=200 ARGS='--seed 0'
 	@$(PIP) --editable '.[tune,certify,test,mutants]'
@@ -68,12 +72,13 @@ format: install ## Let ruff mend what it can
 
 METHODS := nnss nnss-ensemble nnss-paper simba n4sid ssest ssregest
 
+# Exit code 1: some runs have no result, which the tables count.
 reproduce: install ## The paper's study and ours, ending in results/report.md: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
-	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
-	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
-	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS)
+	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
+	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
+	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	for dataset in twotank daisy-powerplant robotarm; do \
-	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
+	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || [ $$? = 1 ] || exit; \
 	done
 	$(NNSS) report --no-times --out $(OUT)
 

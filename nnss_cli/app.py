@@ -16,6 +16,7 @@ from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods,
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.interrupt import EXIT_CODE, interruptible
 from nnss_cli.plugins import PluginWarning
 from nnss_cli.version import __version__
 
@@ -62,19 +63,21 @@ UsageError: Any = typer.BadParameter.__bases__[0]  # click's or typer's own, whi
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; every error that the user can mend is one line and exit code 2."""
+    """Run the command line; every error that the user can mend is one line and exit code 2. 130 when interrupted."""
     try:
-        with warnings.catch_warnings():
+        with interruptible(), warnings.catch_warnings():
             _show_plugin_warnings_on_one_line()
             code = app(args, prog_name="nnss", standalone_mode=False)
+        if code == EXIT_CODE:  # what later typer makes of it
+            raise KeyboardInterrupt
     except UsageError as error:
         _fail(_usage_message(error))
     except InputError as error:
         _fail(str(error))
     except InterruptedError as error:
-        _fail(str(error), 130)
-    except KeyboardInterrupt:
-        _fail("interrupted", 130)
+        _fail(str(error), EXIT_CODE)
+    except (KeyboardInterrupt, typer.Abort):  # earlier typer makes the latter of the former
+        _fail("interrupted", EXIT_CODE)
     except OSError as error:
         if error.filename is None:
             raise

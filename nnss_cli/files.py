@@ -1,11 +1,18 @@
 """Atomic writes: a file is there whole or not at all."""
 
+import contextlib
 import os
+import re
+import socket
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 from nnss_cli.errors import InputError
+
+_TEMPORARY = re.compile(r"\.tmp-(?:(?P<host>[A-Za-z0-9_]*)-(?P<process>\d+)-)?\w+(?:\.\w+)?")
+_OLD = 24 * 3600.0  # seconds after which a temporary file of whom nobody knows is nobody's
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
@@ -15,7 +22,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     rename is atomic on one file system, so a reader or a crash never sees half a file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".tmp-", suffix=path.suffix)
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".tmp-{_host()}-{os.getpid()}-", suffix=path.suffix)
     os.close(descriptor)
     temporary = Path(name)
     try:
@@ -26,6 +33,35 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files in `folder` whose writer was killed: no process has its number any more.
+
+    Those of another machine, or of earlier versions, go when they are a day old.
+    """
+    for path in folder.glob(".tmp-*"):
+        named = _TEMPORARY.fullmatch(path.name)
+        if named is None:
+            continue
+        with contextlib.suppress(FileNotFoundError):
+            known = os.name == "posix" and named["host"] == _host()
+            if not _is_running(int(named["process"])) if known else time.time() - path.stat().st_mtime > _OLD:
+                path.unlink()
+
+
+def _host() -> str:
+    return re.sub(r"\W+", "_", socket.gethostname())[:40]
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # another user's
+    return True
 
 
 def write_text(path: Path, text: str) -> None:

@@ -31,7 +31,9 @@ def read_model(folder: Path) -> tuple[dict[str, Any], Tensors]:
     path = folder / "model.json"
     try:
         description = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        if not isinstance(description, dict):
+            raise ValueError(f"expected an object, found {description!r:.60}")
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"'{path}' is not a model's description: {error}; train it again") from error
     return description, read_tensors(folder / "model.safetensors")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
@@ -22,31 +24,43 @@ def command(
     mirror: opt.Mirror = None,
     offline: opt.Offline = False,
     force: opt.Force = False,
+    retry_failed: opt.RetryFailed = False,
+    fail_fast: opt.FailFast = False,
+    time_limit: opt.TimeLimit = None,
+    memory_limit: opt.MemoryLimit = None,
+    dry_run: opt.DryRun = False,
+    yes: opt.Yes = False,
     changes: dict[str, Any] | None = None,
     own: dict[str, Any] | None = None,
 ) -> None:
     """Run methods × orders × seeds, keep every run, and write the table and the figures.
 
-    Finished runs are not repeated: after an interruption the same command goes on.
+    Finished runs are not repeated: after an interruption the same command goes on. Several commands may share
+    a folder and its work. Exit code: 0 every run has a result, 1 some have none (the table counts them), 2 wrong
+    input or nowhere to write, 130 interrupted.
     """
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, print_rows
+    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows
+    from nnss_cli.errors import InputError
+    from nnss_cli.experiment.estimate import DAY, duration, estimate
+    from nnss_cli.experiment.processes import Limits
     from nnss_cli.experiment.store import Store
-    from nnss_cli.experiment.sweep import plan, sweep
+    from nnss_cli.experiment.sweep import AGAIN, plan, sweep
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
     from nnss_cli.report.build import write_comparison
     from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
 
     workers = opt.check_counts(seeds, jobs)
+    limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
     chosen = select(methods or [])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})
     data = ready_data.dataset
     store = Store(out, data.name, data.protocol)
     todo = plan(
-        store, data, chosen, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}), force
-    )
-    require_writable(store.folder)
+        store, data, chosen, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}),
+        force, retry_failed, dry_run,
+    )  # fmt: skip
     engines = {spec.settings["engine"] for spec in todo.todo if "engine" in spec.settings}
     console.print(
         f"{data.name}, protocol {data.protocol}: {len(todo.todo)} runs to do, {len(todo.done)} done already"
@@ -55,9 +69,24 @@ def command(
     )
     for line in todo.made_elsewhere():
         console.print(f"Note: {line}", soft_wrap=True, highlight=False)
+    again = sorted(result.status for result in todo.done if result.status in AGAIN)
+    if again:
+        statuses = ", ".join(dict.fromkeys(again))
+        console.print(f"Note: {len(again)} of the finished runs: {statuses}; --retry-failed tries them again")
+    expected = estimate(todo.todo, store.results(), workers)
+    if todo.todo:
+        more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
+        console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
+    if dry_run:
+        if todo.todo:
+            print_rows(plan_rows(expected), "To do, if nothing stops early")
+        return
+    if expected.seconds > DAY and not yes:
+        raise InputError(f"this will take about {duration(expected.seconds)}: --yes starts it all the same")
+    require_writable(store.folder)
     with RunProgress(todo.todo) as progress:
         try:
-            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result)
+            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result, limits, fail_fast)
         except KeyboardInterrupt:
             progress.progress.stop()
             left = len(todo.todo) - progress.finished
@@ -65,6 +94,9 @@ def command(
                 f"interrupted: finished runs are kept in '{store.folder}', {left} are left; "
                 "the same command goes on from here"
             ) from None
+    left = len(todo.todo) - progress.finished
+    if left:
+        console.print(f"Stopped at the first run without a result (--fail-fast): {left} are left", highlight=False)
     files = write_comparison(store)
     labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
     asked = [result for result in store.results() if result.spec.label in labels]
@@ -79,3 +111,5 @@ def command(
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
+    if any(result.status != "ok" for result in asked):
+        raise typer.Exit(1)

@@ -18,8 +18,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from nnss_cli.experiment.estimate import Estimate
+from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
-from nnss_cli.experiment.sweep import Event
 
 console = Console()
 
@@ -95,6 +96,17 @@ class RunProgress:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
         elif result.status != "ok":
             self.progress.console.print(line, markup=False, style="yellow")
+
+
+def plan_rows(expected: Estimate) -> list[dict[str, str]]:
+    """What there is to do, by method and order."""
+    return [
+        {
+            "method": group.method, "order": str(group.order), "runs": str(group.runs),
+            "each": "–" if group.seconds is None else f"{group.seconds:.3g} s",
+        }
+        for group in expected.groups
+    ]  # fmt: skip
 
 
 def describe(spec: RunSpec) -> str:

@@ -101,7 +101,26 @@ Assignments = Annotated[
         autocompletion=_assignments,
     ),
 ]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option("--time-limit", metavar="SECONDS", help="Wall time a run may take.", show_default="none"),
+]
+MemoryLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--memory-limit", metavar="GB", help="Memory the process of a run may hold (Linux).", show_default="none"
+    ),
+]
+RetryFailed = Annotated[
+    bool, typer.Option("--retry-failed", help="Try runs again that timed out, took too much memory or crashed.")
+]
+FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first run without a result.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
+
+MAX_JOBS = 1024
+"""Processes of one machine."""
 
 _TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the recipe's)"
 _BASELINES = "Baselines"
@@ -242,11 +261,13 @@ def check_counts(seeds: int, jobs: int | None) -> int:
     """The number of processes: one per core unless the user says.
 
     Raises:
-        InputError: there are no seeds or processes.
+        InputError: there are no seeds or processes, or more than any folder or machine holds.
     """
-    if seeds < 1:
-        raise InputError(f"--seeds: expected at least 1, found {seeds}")
+    from nnss_cli.experiment.sweep import MAX_RUNS
+
+    if not 1 <= seeds <= MAX_RUNS:
+        raise InputError(f"--seeds: expected at least 1 and at most {MAX_RUNS:,}, found {seeds:,}")
     workers = (os.cpu_count() or 1) if jobs is None else jobs
-    if workers < 1:
-        raise InputError(f"--jobs: expected at least 1, found {workers}")
+    if not 1 <= workers <= MAX_JOBS:
+        raise InputError(f"--jobs: expected at least 1 and at most {MAX_JOBS:,}, found {workers:,}")
     return workers

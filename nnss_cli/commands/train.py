@@ -26,10 +26,9 @@ def command(
     changes: dict[str, Any] | None = None,
     own: dict[str, Any] | None = None,
 ) -> None:
-    """Train one model, keep it under results/ and print its errors."""
+    """Train one model, keep it under results/ and print its errors. Exit code 1 when it has no result."""
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import RunProgress, console, print_rows
-    from nnss_cli.errors import InputError
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import plan, sweep
     from nnss_cli.files import require_writable
@@ -49,7 +48,8 @@ def command(
         r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
     )
     if result.status != "ok":
-        raise InputError(f"{result.spec.label} {result.status}: {result.reason}")
+        typer.echo(f"nnss: {result.spec.label} {result.status}: {result.reason}", err=True)
+        raise typer.Exit(1)
     if todo.done:
         console.print("This run was finished already: --force trains it again.")
     for note in data.notes:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import unknown
+from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, records_of
-from nnss_cli.experiment.sweep import Event, plan, sweep
+from nnss_cli.experiment.sweep import plan, sweep
 from nnss_cli.methods import METHODS, Settings, load_model
 from nnss_cli.methods.options import for_method
 

@@ -34,14 +34,20 @@ def execute(
 ) -> RunResult:
     """Fit, simulate, score and write one run. Numerical failure is a result, not an exception.
 
+    Whoever else may execute the same run at once holds its lock (`Store.lock`).
+
     Args:
         spec: which run.
         dataset: what is fitted and scored.
         store: where it is kept.
         on_epoch: hears of each epoch.
         method: what fits; the registered one of the run's method unless given.
+
+    Raises:
+        InputError: it cannot be kept: no space, no permission.
     """
-    store.clear(spec)
+    with store.writing():
+        store.clear(spec)
     status: Status = "ok"
     reason = ""
     scores: list[Score] = []
@@ -63,7 +69,9 @@ def execute(
         elif fit.model is None:
             status, reason = "failed", "the method gave no model and no reason"
     except NUMERICAL as error:
-        status, reason = "failed", _sentence(error)
+        status, reason = "failed", sentence(error)
+    except MemoryError as error:
+        status, reason = "memory", sentence(error)
     fit_seconds = time.perf_counter() - started + trained
     if fit.model is not None:
         try:
@@ -75,10 +83,11 @@ def execute(
                     f"the simulation of {', '.join(dict.fromkeys(bad))} left the finite range",
                 )
         except NUMERICAL as error:
-            status, reason = "failed", f"its simulation failed: {_sentence(error)}"
+            status, reason = "failed", f"its simulation failed: {sentence(error)}"
         if status != "ok":
             scores = []
-        fit.model.save(store.run_folder(spec))
+        with store.writing():
+            fit.model.save(store.run_folder(spec))
     result = RunResult(
         spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), provenance(), fit.history,
         asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
@@ -105,7 +114,8 @@ def combined(method: Method, members: list[RunResult], dataset: Dataset, store: 
     return fit
 
 
-def _sentence(error: Exception) -> str:
+def sentence(error: BaseException) -> str:
+    """An exception's words on one line; its type where it has none."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

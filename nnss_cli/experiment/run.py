@@ -10,12 +10,16 @@ import numpy as np
 
 from nnss_cli.datasets.record import FloatArray, Scaling
 
-Status: TypeAlias = Literal["ok", "diverged", "failed"]
+Status: TypeAlias = Literal["ok", "diverged", "failed", "timeout", "memory", "crashed"]
+
+FORBID = {"extra": "forbid"}  # of what is read from disk (schema.py): an unknown field is a fault
 
 
 @dataclass(frozen=True)
 class RunSpec:
     """Which run. `settings` and `data` decide whether a finished one may be reused."""
+
+    __pydantic_config__ = FORBID
 
     dataset: str
     """Name of the dataset."""
@@ -44,6 +48,8 @@ class RunSpec:
 class Score:
     """The error of one output in one split."""
 
+    __pydantic_config__ = FORBID
+
     split: str
     """train, val, or the name of a test set."""
     output: str
@@ -60,10 +66,13 @@ class Score:
 class RunResult:
     """What came of a run; a failed one is a result too."""
 
+    __pydantic_config__ = FORBID
+
     spec: RunSpec
     """Which run."""
     status: Status
-    """ok; diverged (numbers left the finite range); failed (the method could not be applied)."""
+    """ok; diverged (numbers left the finite range); failed (the method could not be applied); timeout, memory (it took
+    more than it may); crashed (its process ended, twice, or the method has a fault)."""
     reason: str
     """Why the status is not ok, or ""."""
     scores: tuple[Score, ...]
@@ -72,7 +81,7 @@ class RunResult:
     """Epochs run; 0 for methods without."""
     fit_seconds: float
     """Wall time of the fit [s]."""
-    provenance: dict[str, Any]
+    provenance: dict[str, str]
     """Versions, platform, time."""
     history: dict[str, list[float]]
     """Values per epoch, by name."""
@@ -88,21 +97,8 @@ class RunResult:
         return replace(self, spec=replace(self.spec, method=method))
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """As plain data, which `schema.parse_result` reads back."""
         return asdict(self)
-
-    @classmethod
-    def from_json(cls, content: dict[str, Any]) -> RunResult:
-        """The inverse of `to_json`.
-
-        Raises:
-            KeyError, TypeError: something is missing or unknown.
-        """
-        scores = tuple(Score(**score) for score in content["scores"])
-        return cls(**content | {
-            "spec": RunSpec(**content["spec"]), "scores": scores, "notes": tuple(content["notes"]),
-            "remarks": tuple(content.get("remarks", ())),
-        })  # fmt: skip
 
 
 def score_outputs(

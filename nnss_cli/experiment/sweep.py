@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import threading
-from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing.queues import SimpleQueue
-from typing import Any
 
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import LIBRARIES, execute, provenance
+from nnss_cli.experiment.execute import LIBRARIES, provenance
+from nnss_cli.experiment.executor import Event, Executor, Serial, Task, settle
+from nnss_cli.experiment.processes import NO_LIMITS, Limits, Processes
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS, Method, Settings, version_of
 from nnss_cli.methods.options import for_method
-from nnss_cli.plugins import Source, in_use, use
+
+MAX_RUNS = 1_000_000
+"""Runs of one call: each is a folder, of which more than that are beyond a file system's patience."""
+
+POLL = 0.5  # seconds between looks at what another command is at
+IDLE = 10.0  # seconds after which a wait is taken up again where nothing was heard
+TRIES = 2  # of a run whose process is lost
+
+AGAIN = ("timeout", "memory", "crashed")
+"""Results that another machine, or limit, may better: they are tried again when it is asked for."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +49,6 @@ class Plan:
         return lines
 
 
-@dataclass(frozen=True)
-class Event:
-    """A sign of life of a running fit."""
-
-    spec: RunSpec
-    """Which run."""
-    epoch: int = 0
-    """Epoch just finished; 0 when the run starts."""
-    val_rmse: float | None = None
-    """Validation error of that epoch, normalised units."""
-
-
 def check_order(order: int, data: FittingData) -> None:
     """Refuse an order that the training record cannot determine.
 
@@ -73,6 +66,16 @@ def check_order(order: int, data: FittingData) -> None:
         )
 
 
+def check_count(runs: int) -> None:
+    """Refuse a plan that no folder could hold, before it is made.
+
+    Raises:
+        InputError: there are more than `MAX_RUNS`.
+    """
+    if runs > MAX_RUNS:
+        raise InputError(f"expected at most {MAX_RUNS:,} runs in one call, found {runs:,}: take fewer seeds or orders")
+
+
 def plan(
     store: Store,
     dataset: Dataset,
@@ -81,8 +84,12 @@ def plan(
     seeds: Sequence[int],
     overrides: Settings,
     force: bool,
+    retry: bool = False,
+    dry: bool = False,
 ) -> Plan:
     """List the runs that are missing. Failed ones count as missing, diverged ones as results.
+
+    So do those that timed out, took too much memory or crashed, unless they are to be tried again.
 
     A combination brings its members along: the seeds asked for, and those on disk with the same options, so
     that it never stands beside rows of more seeds than it was made of. It is made again when they change.
@@ -95,13 +102,17 @@ def plan(
         seeds: of methods that have one.
         overrides: options by name, for every method that has them, or by 'METHOD.OPTION' for one.
         force: run again what is finished.
+        retry: run again what has a status of `AGAIN`.
+        dry: leave what is replaced where it is.
 
     Raises:
-        InputError: an order or option is out of range, or there are runs with other options, data or versions
-            that must not be mixed with these.
+        InputError: an order or option is out of range, there are more than `MAX_RUNS`, or there are runs with
+            other options, data or versions that must not be mixed with these.
     """
+    check_count(len(set(orders)) * sum(len(seeds) if method.seeded else 1 for method in methods))
     existing = store.results()
-    finished = {r.spec.label: r for r in existing if r.status != "failed"}
+    missing = ("failed", *AGAIN) if retry else ("failed",)
+    finished = {r.spec.label: r for r in existing if r.status not in missing}
     data = dataset.fingerprint()
     todo: list[RunSpec] = []
     done: list[RunResult] = []
@@ -140,7 +151,7 @@ def plan(
                     todo.append(one)
                 else:
                     done.append(finished[one.label])
-    if force:
+    if force and not dry:
         _discard_replaced(store, todo, existing)
     return Plan(todo, done)
 
@@ -160,81 +171,83 @@ def sweep(
     jobs: int,
     on_event: Callable[[Event], None],
     on_result: Callable[[RunResult], None],
+    limits: Limits = NO_LIMITS,
+    fail_fast: bool = False,
 ) -> None:
     """Execute runs; each is on disk when `on_result` hears of it.
 
-    Every run has its own seed and one thread, so the numbers do not depend on `jobs`.
+    Every run has its own seed and one thread, so the numbers do not depend on `jobs`. Another command on
+    the same folder takes other runs; what it finishes counts here as well.
+
+    Args:
+        specs: which runs.
+        dataset: what is fitted.
+        store: where they are kept; what killed commands left there is removed.
+        jobs: processes.
+        on_event: hears of each run that starts, and of its epochs.
+        on_result: hears of each result.
+        limits: of a run.
+        fail_fast: end with the first result that is not ok.
 
     Raises:
         KeyboardInterrupt: finished runs stay, the others are missing.
-        InputError: a worker process was killed from outside.
+        InputError: results cannot be kept, or no process can be started.
     """
-    combinations = [spec for spec in specs if METHODS[spec.method].members]
-    trained = [spec for spec in specs if spec not in combinations]
-    if jobs == 1 or len(trained) <= 1:
-        for spec in trained:
-            on_result(_reported(spec, dataset, store, on_event))
+    store.tidy()
+    if not specs:
+        return
+    tasks = [Task(spec, store.stamp(spec)) for spec in specs]
+    combinations = [task for task in tasks if METHODS[task.spec.method].members]
+    trained = [task for task in tasks if not METHODS[task.spec.method].members]
+    executor: Executor
+    if limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
+        executor = Serial(dataset, store, on_event)
     else:
-        _side_by_side(trained, dataset, store, jobs, on_event, on_result)
-    for spec in combinations:
-        on_result(_reported(spec, dataset, store, on_event))
-
-
-def _side_by_side(
-    specs: Sequence[RunSpec],
-    dataset: Dataset,
-    store: Store,
-    jobs: int,
-    on_event: Callable[[Event], None],
-    on_result: Callable[[RunResult], None],
-) -> None:
-    for spec in specs:  # compile here: the workers then find it on disk
-        METHODS[spec.method].prepare(spec.settings)
-    context = multiprocessing.get_context("spawn")
-    events: SimpleQueue[Event | None] = context.SimpleQueue()
-    listener = threading.Thread(target=_listen, args=(events, on_event), daemon=True)
-    listener.start()
-    pool = ProcessPoolExecutor(min(jobs, len(specs)), context, initializer=_start_worker, initargs=(events, in_use()))
+        _prepare(specs)
+        executor = Processes(min(jobs, len(specs)), dataset, store, limits, on_event)
     try:
-        pending = {pool.submit(_work, spec, dataset, store) for spec in specs}
-        while pending:
-            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                on_result(future.result())
-    except BrokenProcessPool as error:
-        raise InputError(
-            "a worker process was killed (out of memory?): the finished runs are kept; "
-            "call the same command again with a smaller --jobs"
-        ) from error
+        for part in (trained, combinations):  # these are made of those
+            for result in _results(part, executor, dataset, store):
+                on_result(result)
+                if fail_fast and result.status != "ok":
+                    return
     finally:
-        # Also on Ctrl-C: no fit goes on in the background. A run cut short has no run.json.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
-        events.put(None)
-        listener.join(timeout=5)
+        executor.close()
 
 
-def _reported(spec: RunSpec, dataset: Dataset, store: Store, report: Callable[[Event], None]) -> RunResult:
-    report(Event(spec))
-    return execute(spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)))
+def _prepare(specs: Sequence[RunSpec]) -> None:
+    """Compile here: the workers then find it on disk."""
+    last = None
+    for spec in specs:
+        if (spec.method, spec.settings) != last:
+            METHODS[spec.method].prepare(spec.settings)
+            last = (spec.method, spec.settings)
 
 
-def _listen(events: SimpleQueue[Any], on_event: Callable[[Event], None]) -> None:
-    while (event := events.get()) is not None:
-        on_event(event)
-
-
-_events: SimpleQueue[Any]  # of a worker process
-
-
-def _start_worker(events: SimpleQueue[Any], plugins: tuple[Source, ...]) -> None:
-    global _events
-    _events = events
-    use(plugins)
-    # Ctrl-C reaches the whole group: a worker just ends, the parent tells the user.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _work(spec: RunSpec, dataset: Dataset, store: Store) -> RunResult:
-    return _reported(spec, dataset, store, _events.put)
+def _results(tasks: Sequence[Task], executor: Executor, dataset: Dataset, store: Store) -> Iterator[RunResult]:
+    """The results of tasks as they come; a run whose process is lost is tried once more."""
+    ready, elsewhere = deque(tasks), deque[Task]()  # the latter: another command is at them
+    tries: Counter[str] = Counter()
+    running = 0
+    looked = time.monotonic()
+    while ready or elsewhere or running:
+        if elsewhere and executor.free > len(ready) and time.monotonic() - looked > POLL:
+            ready.extend(elsewhere)
+            elsewhere.clear()
+            looked = time.monotonic()
+        while ready and executor.free:
+            executor.submit(ready.popleft())
+            running += 1
+        for outcome in executor.wait(POLL if elsewhere else IDLE):
+            running -= 1
+            task, result = outcome.task, outcome.result
+            if outcome.loss is not None:
+                tries[task.spec.label] += 1
+                if outcome.loss.status == "crashed" and tries[task.spec.label] < TRIES:
+                    ready.appendleft(task)
+                    continue
+                result = settle(task, outcome.loss, dataset, store)
+            if result is None:
+                elsewhere.append(task)
+            else:
+                yield result

@@ -110,11 +110,15 @@ def load_model(folder: Path, models: Mapping[str, ModelReader] | None = None) ->
 
     description, tensors = read_model(folder)
     kind = str(description.get("kind"))
-    reader = _READERS.get(kind) or (models or {}).get(kind) or _foreign_reader(kind)
     try:
+        reader = _READERS.get(kind) or (models or {}).get(kind) or _foreign_reader(kind)
         return reader(description, tensors)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise InputError(f"'{folder}' holds an incomplete {kind} model: {error}; train it again") from error
+    except InputError as error:
+        raise InputError(f"'{folder}': {error}") from error
+    except (LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, ValueError, MemoryError) as error:
+        raise InputError(
+            f"'{folder}' holds an incomplete {kind:.40} model: {' '.join(str(error).split())}; train it again"
+        ) from error
 
 
 def _foreign_reader(kind: str) -> ModelReader:

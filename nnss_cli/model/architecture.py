@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from nnss_cli.baselines.schur import EPSILON
 from nnss_cli.errors import InputError, unknown
@@ -10,6 +11,8 @@ from nnss_cli.errors import InputError, unknown
 SCHEDULING = ("x", "x+u", "x+y", "x+u+y")
 DTYPES = ("float32", "float64")
 STABILITIES = ("schur", "contraction", "none")
+MAX_WEIGHTS = 100_000_000
+"""Weights of a model: 0.8 GB of them, and several times that to train them."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,13 @@ class Architecture:
             raise InputError(
                 f"order and widths must be at least 1 and the generator needs a hidden layer: found order "
                 f"{self.order}, hidden {self.hidden}, encoder {self.encoder}"
+            )
+        generator = (self.scheduling_size, *self.hidden, sum(self.parameter_sizes))
+        weights = sum(a * b for a, b in pairwise(generator)) + sum(a * b for a, b in pairwise(self.encoder))
+        if weights > MAX_WEIGHTS:  # before any memory is taken
+            raise InputError(
+                f"expected at most {MAX_WEIGHTS:,} weights, found {weights:,} with order {self.order}, hidden "
+                f"{self.hidden}, encoder {self.encoder}: take fewer or narrower layers"
             )
 
     @property

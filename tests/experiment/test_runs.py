@@ -14,7 +14,8 @@ from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.order import OrderRow, suggest_order
-from nnss_cli.experiment.run import RunResult, score_outputs
+from nnss_cli.experiment.run import score_outputs
+from nnss_cli.experiment.schema import parse_result
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import Plan, check_order, plan, sweep
 from nnss_cli.methods import METHODS, Fit, Method, select
@@ -48,7 +49,7 @@ def test_a_result_survives_the_disk(tmp_path: Path) -> None:
     store = store_for(tmp_path)
     run_all(store, seeds=1)
     for result in store.results():
-        assert RunResult.from_json(result.to_json()) == result
+        assert parse_result(json.dumps(result.to_json()).encode()) == result
         assert {s.split for s in result.scores} == {"train", "val", "test"}
         signals = store.signals(result.spec)
         error = signals["test/0/y_sim"] - signals["test/0/y"]

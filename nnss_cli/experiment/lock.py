@@ -1,0 +1,61 @@
+"""A lock that ends with its holder, however that ends: two commands on one folder share the work."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows: two commands at once may do a run twice there
+    fcntl = None  # type: ignore[assignment]
+
+_UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+
+
+@contextlib.contextmanager
+def lock(path: Path) -> Iterator[bool]:
+    """Hold the lock of this name, if nobody does; gives whether it is held now. It never waits.
+
+    The system frees it when the holder's process ends. The file goes with the lock; one left by a killed holder
+    locks nothing. Where the file system knows no locks, it is always granted.
+    """
+    if fcntl is None:
+        yield True
+        return
+    descriptor = _acquired(path)
+    try:
+        yield descriptor is not None
+    finally:
+        if descriptor is not None:
+            path.unlink(missing_ok=True)  # while it is held: whoever opened it meanwhile sees that it has gone
+            os.close(descriptor)
+
+
+def _acquired(path: Path) -> int | None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if _is_at(descriptor, path):
+                return descriptor
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        except OSError as error:
+            if error.errno in _UNSUPPORTED:
+                return descriptor
+            os.close(descriptor)
+            raise
+        os.close(descriptor)  # its holder removed it between our two calls
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
