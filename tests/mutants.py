@@ -146,12 +146,15 @@ def places(file: str) -> dict[tuple[tuple[int, int], tuple[int, int]], list[tupl
 
 
 def mutant_of(file: str, operator: str, occurrence: int, line: int) -> Mutant | None:
-    """The mutant, or None where it is the same program: the text of an annotation is never evaluated."""
+    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated."""
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
     source = (ROOT / file).read_text(encoding="utf-8")
-    text = mutate_code(source, get_operator(operator)(), occurrence)
+    try:
+        text = mutate_code(source, get_operator(operator)(), occurrence)
+    except AttributeError:  # Cosmic Ray's exception replacer stumbles over a dotted name
+        return None
     try:
         if text is None or _program(text) == _program(source):
             return None
