@@ -224,10 +224,10 @@ def mapped(root: Path) -> Map:
         SystemExit: a test fails where nothing is mutated.
     """
     common = [*(ROOT / "nnss_cli").rglob("*.py"), *(f for name in INSIDE for f in (ROOT / name).rglob("*.py"))]
-    common.append(ROOT / "tests/conftest.py")
+    common += (ROOT / "tests").rglob("conftest.py")
     folders = sorted({test for _, tests in FOLDERS.values() for test in tests})
     files = sorted(
-        {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("*.py"))}
+        {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("test_*.py"))}
     )
     files.append(ROOT / STRUCTURE.partition("::")[0])
     hashes = {str(f.relative_to(ROOT)): _hash([*common, f]) for f in files}
