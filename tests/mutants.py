@@ -104,9 +104,9 @@ def installed(file: str) -> str:
 
 
 def copy_of_package(root: Path) -> None:
-    """Package, tests and pytest's settings; dates are kept, for the compiled files that go by them."""
+    """Package, tests, what they read and pytest's settings; dates are kept, for the compiled files that go by them."""
     ignore = shutil.ignore_patterns("__pycache__")
-    for folder in ("nnss_cli", *INSIDE, "tests"):
+    for folder in ("nnss_cli", *INSIDE, "tests", "docs"):
         shutil.copytree(ROOT / folder, root / installed(folder), ignore=ignore)
     shutil.copy2(ROOT / "pyproject.toml", root)
 
