@@ -67,7 +67,9 @@ def test_files_are_brought_one_by_one_from_the_sources(
     with serve(emps_folder) as address:
         known = hashlib.sha256((emps_folder / train).read_bytes()).hexdigest()
         parts = (Source(f"{address}/{train}", known), Source(f"{address}/{test}"))
-        monkeypatch.setitem(BENCHMARKS.built_in, "emps", replace(BENCHMARKS["emps"], sources=(Source(address, parts=parts),)))
+        monkeypatch.setitem(
+            BENCHMARKS.built_in, "emps", replace(BENCHMARKS["emps"], sources=(Source(address, parts=parts),))
+        )
         gone = replace(BENCHMARKS["ced"], sources=(Source(f"{address}/gone.zip"),))
         monkeypatch.setitem(BENCHMARKS.built_in, "ced", gone)
         (line,) = fetch_files(nowhere, (train, test, "DATAUNIF.MAT"))
