@@ -96,7 +96,10 @@ def train_nnss(
     except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
         watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
     if start != "random" and watch.best_epoch == 0 and not watch.diverged:
-        remarks += (f"validation refused every step away from the {start} start",)
+        refused = (
+            "validation refused every epoch after the" if watch.losses else "no step lowered the training error of the"
+        )
+        remarks += (f"{refused} {start} start",)
     model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
     return Training(model, len(watch.losses), watch.best_epoch, watch.diverged, watch.losses, watch.errors, remarks)
 
