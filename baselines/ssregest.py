@@ -87,12 +87,13 @@ def high_order_model(
     Its Hankel singular values tell how many states the data call for. Arguments and errors as in `ssregest`.
     """
     r, m = records[0].input_count, records[0].output_count
-    samples = sum(len(record) for record in records)
-    p = lags or max(default_lags(samples, r + m), -(-order // m) + 1)
-    if min(len(record) for record in records) <= p or order > p * m:
+    samples, shortest = sum(len(record) for record in records), min(len(record) for record in records)
+    p = lags or max(min(default_lags(samples, r + m), shortest - 1), -(-order // m) + 1)
+    if shortest <= p or order > p * m:
         raise InputError(
             f"order {order} is too large for ssregest on these records: {p} lags and {m} outputs "
-            f"need more than {p} samples and allow order {p * m}; use a lower order or more data"
+            f"need records of more than {p} samples, found one of {shortest}, and allow order {p * m}; "
+            "use a lower order or longer records"
         )
     # per output the rows are the same: regressors first, all outputs behind
     R = triangularise(_regression(records, p))

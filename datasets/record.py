@@ -248,6 +248,10 @@ class FittingData:
                     f"training record, found {_kind(record)}; one model needs records of one kind"
                 )
 
+    def fingerprint(self) -> str:
+        """A hash of every sample and statistic that a method may see."""
+        return _hash(self, {"train": self.train, "val": self.val})
+
     def normalised(self) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
         """Train and validation records in normalised units."""
         scale = self.scaling.apply
@@ -305,15 +309,19 @@ class Dataset:
 
     def fingerprint(self) -> str:
         """A hash of every sample and statistic: runs with equal fingerprints are comparable."""
-        digest = hashlib.sha256()
-        if self.fitting.init_window > 1:
-            digest.update(f"window {self.fitting.init_window}".encode())
-        for split, records in self.splits().items():
-            for record in records:
-                digest.update(f"{split}{record.u.shape}{record.y.shape}{record.Ts}".encode())
-                digest.update(record.u.tobytes())
-                digest.update(record.y.tobytes())
-        scaling = self.fitting.scaling
-        for statistic in (scaling.u_mean, scaling.u_std, scaling.y_mean, scaling.y_std):
-            digest.update(statistic.tobytes())
-        return digest.hexdigest()[:16]
+        return _hash(self.fitting, self.splits())
+
+
+def _hash(fitting: FittingData, splits: Mapping[str, tuple[Record, ...]]) -> str:
+    digest = hashlib.sha256()
+    if fitting.init_window > 1:
+        digest.update(f"window {fitting.init_window}".encode())
+    for split, records in splits.items():
+        for record in records:
+            digest.update(f"{split}{record.u.shape}{record.y.shape}{record.Ts}".encode())
+            digest.update(record.u.tobytes())
+            digest.update(record.y.tobytes())
+    scaling = fitting.scaling
+    for statistic in (scaling.u_mean, scaling.u_std, scaling.y_mean, scaling.y_std):
+        digest.update(statistic.tobytes())
+    return digest.hexdigest()[:16]

@@ -104,9 +104,9 @@ def installed(file: str) -> str:
 
 
 def copy_of_package(root: Path) -> None:
-    """Package, tests and pytest's settings; dates are kept, for the compiled files that go by them."""
+    """Package, tests, what they read and pytest's settings; dates are kept, for the compiled files that go by them."""
     ignore = shutil.ignore_patterns("__pycache__")
-    for folder in ("nnss_cli", *INSIDE, "tests"):
+    for folder in ("nnss_cli", *INSIDE, "tests", "docs"):
         shutil.copytree(ROOT / folder, root / installed(folder), ignore=ignore)
     shutil.copy2(ROOT / "pyproject.toml", root)
 
@@ -146,12 +146,15 @@ def places(file: str) -> dict[tuple[tuple[int, int], tuple[int, int]], list[tupl
 
 
 def mutant_of(file: str, operator: str, occurrence: int, line: int) -> Mutant | None:
-    """The mutant, or None where it is the same program: the text of an annotation is never evaluated."""
+    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated."""
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
     source = (ROOT / file).read_text(encoding="utf-8")
-    text = mutate_code(source, get_operator(operator)(), occurrence)
+    try:
+        text = mutate_code(source, get_operator(operator)(), occurrence)
+    except AttributeError:  # Cosmic Ray's exception replacer stumbles over a dotted name
+        return None
     try:
         if text is None or _program(text) == _program(source):
             return None
@@ -221,10 +224,10 @@ def mapped(root: Path) -> Map:
         SystemExit: a test fails where nothing is mutated.
     """
     common = [*(ROOT / "nnss_cli").rglob("*.py"), *(f for name in INSIDE for f in (ROOT / name).rglob("*.py"))]
-    common.append(ROOT / "tests/conftest.py")
+    common += (ROOT / "tests").rglob("conftest.py")
     folders = sorted({test for _, tests in FOLDERS.values() for test in tests})
     files = sorted(
-        {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("*.py"))}
+        {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("test_*.py"))}
     )
     files.append(ROOT / STRUCTURE.partition("::")[0])
     hashes = {str(f.relative_to(ROOT)): _hash([*common, f]) for f in files}

@@ -54,7 +54,7 @@ class Variant:
     results: tuple[RunResult, ...]
     """A run per seed."""
     unbounded: tuple[RunResult, ...] | None
-    """Those whose state left the range of numbers under stress; None where that was not tried."""
+    """Those with a model whose state left the range of numbers under stress; None where that was not tried."""
 
 
 def variant_store(store: Store, study: str, name: str) -> Store:
@@ -101,8 +101,8 @@ def _diverges(store: Store, result: RunResult) -> bool:
     """Whether the state leaves the range of numbers under the stress inputs."""
     from nnss_cli.experiment.certify import certify
 
-    if result.status != "ok":
-        return True
+    if result.status != "ok":  # there is no model to try
+        return False
     folder = store.run_folder(result.spec)
     model = load_model(folder)
     found = certify(model, records_of(folder, model.Ts), steps=STRESS, search_lyapunov=False)

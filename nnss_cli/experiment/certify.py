@@ -160,7 +160,7 @@ def certify(
         invariant = B_bound * input_bound / (1 - system.gamma)
         bound = max(largest_initial, invariant)
         limit = bound * (1 + system.rounding())
-        holds_for = f"x(0) of the {len(everything)} records given, inputs within their range"
+        holds_for = f"x(0) = g(y(0)) of the {len(everything)} records given, inputs within their range"
     broken = []
     largest = max(box_radius, *radius.values())
     if largest >= system.gamma:

@@ -9,6 +9,7 @@ from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import simulation_rms
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.execute import NUMERICAL
 from nnss_cli.methods.linear import subspace_model
 
 MARGIN = 1.05  # an order is good enough when its validation error is within 5 % of the lowest
@@ -25,7 +26,7 @@ class OrderRow:
     train: float | None
     """Training error of N4SID: RMS over samples and outputs, normalised units."""
     val: float | None
-    """Validation error, likewise; None where the data are too short for the order."""
+    """Validation error, likewise; None where the data allow no model of the order."""
 
 
 def order_table(data: FittingData, largest: int, horizon: str) -> list[OrderRow]:
@@ -37,21 +38,23 @@ def order_table(data: FittingData, largest: int, horizon: str) -> list[OrderRow]
         horizon: how N4SID's horizons are chosen, as `nnss_cli.methods.chosen_horizon` says.
 
     Raises:
-        InputError: the records are too short for any model.
+        InputError: the records allow no model of any order.
     """
     (train, val), window = data.normalised(), data.init_window
     full = high_order_model(train)
     sigma = full.hankel_singular_values()
+    relative = sigma / (sigma[0] or 1.0)
     rows = []
+    reason = ""
     for order in range(1, min(largest, len(sigma)) + 1):
         try:
             model = subspace_model(data, order, horizon)
             errors: tuple[float | None, ...] = tuple(simulation_rms(model, part, window) for part in (train, val))
-        except InputError:
-            errors = None, None
-        rows.append(OrderRow(order, float(sigma[order - 1] / sigma[0]), *errors))
+        except NUMERICAL as error:
+            errors, reason = (None, None), reason or str(error)
+        rows.append(OrderRow(order, float(relative[order - 1]), *errors))
     if all(row.val is None for row in rows):
-        raise InputError(f"the training record of {data.dataset} is too short to identify a model of any order")
+        raise InputError(f"{data.dataset}: no order up to {largest} gives a model; of order 1: {reason}")
     return rows
 
 

@@ -163,29 +163,34 @@ class Store:
         return signals
 
     def conflict(self, spec: RunSpec, results: list[RunResult]) -> str:
-        """How finished runs of the same method and order differ from `spec` ("" if they do not).
+        """Which finished runs must not be mixed with `spec` in one table, and how they differ ("" if there are none).
 
-        Runs with other options must not be mixed in one table.
+        Runs of any method and order must be of the same data; those of the same method and order also of the same
+        versions and options.
         """
         for result in results:
-            other = result.spec
-            if (other.method, other.order) != (spec.method, spec.order):
-                continue
-            if other.data != spec.data:
-                return "another version of the data"
-            made = result.provenance.get("nnss", "unknown")
-            if made != __version__:
-                return f"nnss {made} instead of {__version__}"
-            if other.version != spec.version:
-                return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
-            changed = [
-                f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
-                for name in spec.settings | other.settings
-                if _value(other.settings, name) != _value(spec.settings, name)
-            ]
-            if changed:
-                return ", ".join(changed)
+            difference = self._difference(spec, result)
+            if difference:
+                return f"{result.spec.method}, order {result.spec.order}, with {difference}"
         return ""
+
+    @staticmethod
+    def _difference(spec: RunSpec, result: RunResult) -> str:
+        other = result.spec
+        if other.data != spec.data:
+            return "another version of the data"
+        if (other.method, other.order) != (spec.method, spec.order):
+            return ""
+        made = result.provenance.get("nnss", "unknown")
+        if made != __version__:
+            return f"nnss {made} instead of {__version__}"
+        if other.version != spec.version:
+            return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
+        return ", ".join(
+            f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
+            for name in spec.settings | other.settings
+            if _value(other.settings, name) != _value(spec.settings, name)
+        )
 
 
 def stores(out: Path) -> list[Store]:

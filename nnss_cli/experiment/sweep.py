@@ -143,7 +143,7 @@ def plan(
                 difference = "" if force else store.conflict(spec, existing)
                 if difference:
                     raise InputError(
-                        f"'{store.folder}' holds runs of {method.name}, order {order}, with {difference}: "
+                        f"'{store.folder}' holds runs of {difference}: "
                         "take another folder with --out, or --force to replace them"
                     )
             for one in chosen:
@@ -151,6 +151,14 @@ def plan(
                     todo.append(one)
                 else:
                     done.append(finished[one.label])
+    if force:
+        replaced = {(spec.method, spec.order) for spec in todo}
+        difference = store.conflict(todo[0], [r for r in existing if (r.spec.method, r.spec.order) not in replaced])
+        if difference:
+            raise InputError(
+                f"'{store.folder}' holds runs of {difference}, which this command does not replace: "
+                "take another folder with --out, or remove it"
+            )
     if force and not dry:
         _discard_replaced(store, todo, existing)
     return Plan(todo, done)

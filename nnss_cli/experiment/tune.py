@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.errors import InputError, unknown
-from nnss_cli.methods import METHODS, Settings
+from nnss_cli.experiment.execute import NUMERICAL
+from nnss_cli.methods import METHODS, Settings, version_of
 from nnss_cli.methods.options import for_method
+from nnss_cli.version import __version__
 
 if TYPE_CHECKING:
     import optuna
@@ -117,6 +119,9 @@ def tune(
     about = {
         "dataset": data.dataset,
         "protocol": data.protocol,
+        "data": data.fingerprint(),
+        "nnss": __version__,
+        "method": version_of(method),
         "order": order,
         "seed": seed,
         "options": str(overrides),
@@ -135,7 +140,9 @@ def tune(
     kept = study.user_attrs.get("about")
     if kept is not None and kept != about:
         changed = ", ".join(
-            f"{name} {kept[name]} instead of {about[name]}" for name in about if kept[name] != about[name]
+            f"{name} {kept.get(name, 'unknown')} instead of {about[name]}"
+            for name in about
+            if kept.get(name) != about[name]
         )
         raise InputError(f"'{storage}' holds a study with {changed}: take another folder with --out, or remove it")
     study.set_user_attr("about", about)
@@ -158,7 +165,7 @@ def tune(
         return best
 
     study.optimize(
-        objective, n_trials=trials, catch=(ValueError, ArithmeticError),
+        objective, n_trials=trials, catch=NUMERICAL,
         callbacks=[lambda _, finished: on_trial(_trial(finished, overrides))],
     )  # fmt: skip
     return sorted((_trial(t, overrides) for t in study.trials), key=lambda t: (t.state != "complete", t.val_rmse))

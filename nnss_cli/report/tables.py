@@ -68,8 +68,15 @@ def remarks(results: Sequence[RunResult]) -> list[str]:
 
 
 def versions_apart(results: Sequence[RunResult]) -> list[str]:
-    """A line for each library that is not the same in all runs, and for the machine."""
+    """A line for each library that is not the same in all runs, for the machine and for the data."""
     lines = []
+    if len({r.spec.data for r in results}) > 1:
+        apart = Counter(
+            f"{r.spec.method}, order {r.spec.order}" for r in results if r.spec.data != results[0].spec.data
+        )
+        lines.append(
+            f"Made with different versions of the data, so not to be compared with the others: {'; '.join(apart)}."
+        )
     for name in ("nnss", "python", *LIBRARIES, "machine"):
         counts = Counter(r.provenance.get(name, "unknown") for r in results)
         if len(counts) > 1:
@@ -237,7 +244,8 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
                     bounds = median_interval(errors)
                     row[split] += f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})"
             if any(v.unbounded is not None for v in variants):
-                row["unbounded under stress"] = str(sum(r.spec.order == order for r in variant.unbounded or ()))
+                unbounded = sum(r.spec.order == order for r in variant.unbounded or ())
+                row["unbounded under stress"] = f"{unbounded} of {len(ok)}"
             rows.append(row)
     return rows
 

@@ -207,7 +207,12 @@ class _Attempt:
         """What came of it, with the best weights in the model."""
         watch, remarks = self.watch, self.remarks
         if self.start != "random" and watch.best_epoch == 0 and not watch.diverged:
-            remarks += (f"validation refused every step away from the {self.start} start",)
+            refused = (
+                "validation refused every epoch after the"
+                if watch.losses
+                else "no step lowered the training error of the"
+            )
+            remarks += (f"{refused} {self.start} start",)
         if len(candidates) > 1 and self.recipe.feedthrough == "yes":
             remarks += (f"feedthrough taken: it lowers the validation error by more than {PAYS:.0%}",)
         self.model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)

@@ -87,3 +87,18 @@ def test_train_errors_are_not_above_the_printed_ones(name: str, order: int, mirr
     for row in printed.itertuples():
         (score,) = (s for s in scores if (s.split, s.output) == ("train", row.output))
         assert score.rmse <= row.rmse
+
+
+def test_many_short_experiments_take_as_many_lags_as_the_shortest_allows(system: Callable) -> None:
+    """The lags went by the sum of the samples: 20 records of 25 samples were too short for 30 lags of any order."""
+    model = LinearStateSpace(*system(2, 1, 1, 0), 1.0)
+    random = np.random.default_rng(0)
+    records = []
+    for _ in range(20):
+        u = random.standard_normal((25, 1))
+        y, _ = model.simulate(u, np.zeros(2))
+        records.append(Record(u, y + 1e-3 * random.standard_normal(y.shape), 1.0))
+    found = ssregest(tuple(records), 2)
+    assert simulation_rms(found, tuple(records)) < 0.1 * np.std(np.concatenate([r.y for r in records]))
+    with pytest.raises(InputError, match="found one of 3"):
+        ssregest((records[0], records[1][:3]), 5)

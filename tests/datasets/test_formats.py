@@ -274,6 +274,14 @@ def test_arrays_are_columns_by_their_shape(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_table(path, ["short"])["short"], range(4))
 
 
+def test_empty_arrays_are_no_columns(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", u=np.zeros(5), none=np.zeros(0), empty=np.zeros((0, 3)), nothing=np.zeros((5, 0)))
+    assert list(read_table(tmp_path / "a.npz").columns) == ["u"]
+    for name in ("none", "empty", "nothing"):
+        with pytest.raises(InputError, match=f"'{name}' cannot be a column: empty"):
+            read_table(tmp_path / "a.npz", [name])
+
+
 def test_the_length_is_the_longest_that_two_columns_share(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", u=np.zeros(5), y=np.zeros(5), a=np.zeros(3), b=np.zeros(3), scratch=np.zeros(9))
     assert list(read_table(tmp_path / "a.npz").columns) == ["u", "y"]

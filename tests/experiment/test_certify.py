@@ -135,7 +135,7 @@ def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, s
     assert found.state[splits[1]] == pytest.approx(largest)
     assert found.initial_state == pytest.approx(float(np.linalg.norm(x[0])))
     assert all(run.state >= found.initial_state * (1 - 1e-9) for run in found.stress)  # they start from the worst
-    assert found.holds_for == "x(0) of the 2 records given, inputs within their range"
+    assert found.holds_for == "x(0) = g(y(0)) of the 2 records given, inputs within their range"
     rows = {row[""]: row["found"] for row in certificate_rows(found)}
     assert found.holds_for in rows["certified sup‖x‖"]
     assert rows["invariant ball ‖x‖ ≤"] == f"{found.invariant_radius:.6g}"

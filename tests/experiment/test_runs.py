@@ -12,13 +12,16 @@ from nnss_cli.datasets.catalog import load
 from nnss_cli.datasets.record import Record, Scaling
 
 from nnss_cli.errors import InputError
+from nnss_cli.experiment import ablation
+from nnss_cli.experiment import order as order_selection
 from nnss_cli.experiment.execute import execute, simulate_splits
-from nnss_cli.experiment.order import OrderRow, suggest_order
+from nnss_cli.experiment.order import OrderRow, order_table, suggest_order
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.experiment.schema import parse_result
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import Plan, check_order, plan, sweep
 from nnss_cli.methods import METHODS, Fit, Method, select
+from nnss_cli.report.tables import rmse_markdown, study_rows
 from nnss_cli.version import __version__
 
 QUICK = {"hidden": (6,), "encoder": (3,), "window": 40, "stride": 60, "batch": 8, "epochs": 2}
@@ -307,3 +310,73 @@ def test_orders_beyond_the_data_are_refused(small_data: Callable) -> None:
     for order in (0, -1, 11):
         with pytest.raises(InputError, match=f"expected 1 to 10 .* found {order}"):
             check_order(order, data)
+
+
+@pytest.mark.parametrize(("method", "states"), [("ssregest", 2), ("n4sid", 3)])
+def test_other_methods_and_orders_are_not_run_on_other_data(
+    tmp_path: Path, small_data: Callable, method: str, states: int
+) -> None:
+    """A file that was edited in between gave one table of two records."""
+    store = Store(tmp_path, "small", "strict")
+    first, second = small_data(seed=1), small_data(seed=2)
+    execute(plan(store, first, select(["n4sid"]), [2], [0], {}, False).todo[0], first, store)
+    expected = "runs of n4sid, order 2, with another version of the data"
+    with pytest.raises(InputError, match=f"{expected}: take another folder with --out, or --force"):
+        plan(store, second, select([method]), [states], [0], {}, False)
+    with pytest.raises(InputError, match=f"{expected}, which this command does not replace"):
+        plan(store, second, select([method]), [states], [0], {}, True)
+    assert [r.spec.label for r in store.results()] == ["n4sid-n2-s0"]
+    replaced = plan(store, second, select(sorted({method, "n4sid"})), sorted({2, states}), [0], {}, True)
+    assert len(replaced.todo) == 2
+    assert not store.results()
+
+
+def test_a_table_of_runs_on_other_data_says_so(tmp_path: Path, small_data: Callable) -> None:
+    store = Store(tmp_path, "small", "strict")
+    for seed, method in ((1, "n4sid"), (2, "ssregest")):  # as an older version left them
+        dataset = small_data(seed=seed)
+        apart = Store(tmp_path / str(seed), "small", "strict")
+        execute(plan(apart, dataset, select([method]), [2], [0], {}, False).todo[0], dataset, store)
+    text = rmse_markdown(store.results())
+    assert "different versions of the data, so not to be compared with the others: ssregest, order 2." in text
+    assert "different versions of the data" not in rmse_markdown(store.results()[:1])
+
+
+def test_the_order_table_says_why_there_is_no_model(small_data: Callable) -> None:
+    """A constant output was "too short"."""
+    data = small_data(K=300).fitting
+    still = tuple(Record(record.u, np.full_like(record.y, 3.3), record.Ts) for record in data.train)
+    with pytest.raises(InputError, match="no order up to 2 gives a model; of order 1: output y1 is constant"):
+        order_table(replace(data, train=still, scaling=Scaling.of(still)), 2, "auto")
+
+
+def test_the_order_table_bears_what_linear_algebra_raises(
+    small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sound = order_selection.subspace_model
+
+    def fails(data: object, n: int, horizon: str) -> object:
+        if n == 2:
+            raise np.linalg.LinAlgError("singular")
+        return sound(data, n, horizon)
+
+    monkeypatch.setattr(order_selection, "subspace_model", fails)
+    rows = order_table(small_data(K=300).fitting, 3, "matlab")
+    assert [row.val is None for row in rows] == [False, True, False]
+
+
+def test_only_runs_with_a_model_are_unbounded_under_stress(
+    tmp_path: Path, small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that diverged in training counted as one whose state grew under stress."""
+    monkeypatch.setattr(type(METHODS["nnss"]), "fit", diverging({1}))
+    monkeypatch.setattr(ablation, "STRESS", 200)
+    store = Store(tmp_path, "small", "strict")
+    variants = ablation.ablate(
+        store, small_data(K=200), "stability", [2], [0, 1], {"epochs": 1}, 1, NOTHING, NOTHING, NOTHING
+    )
+    rows = study_rows(variants)
+    assert [row["runs"] for row in rows] == ["1/2"] * 3
+    assert [row["unbounded under stress"] for row in rows] == ["0 of 1"] * 3
+    grown = [replace(v, unbounded=v.results[:1]) for v in variants]
+    assert [row["unbounded under stress"] for row in study_rows(grown)] == ["1 of 1"] * 3

@@ -124,3 +124,27 @@ def test_the_printed_command_trains_the_trial(nnss: Callable) -> None:
     settings = json.loads(Path("results/twotank-sim/strict/runs/nnss-n2-s0/run.json").read_text())["spec"]["settings"]
     assert (settings["hidden"], settings["window"], settings["stride"]) == ([7], 40, 2)
     assert (settings["epochs"], settings["encoder"], settings["optimiser"]) == (2, [3], "adam")
+
+
+def test_a_study_goes_on_with_the_same_data_and_versions_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable
+) -> None:
+    search(monkeypatch, tmp_path, small_data(seed=1).fitting, {}, [1.0], trials=1)
+    with pytest.raises(InputError, match="holds a study with data [0-9a-f]+ instead of [0-9a-f]+:"):
+        search(monkeypatch, tmp_path, small_data(seed=2).fitting, {}, [1.0], trials=1)
+    monkeypatch.setattr("nnss_cli.experiment.tune.__version__", "0.0")
+    with pytest.raises(InputError, match=r"holds a study with nnss \S+ instead of 0\.0:"):
+        search(monkeypatch, tmp_path, small_data(seed=1).fitting, {}, [1.0], trials=1)
+
+
+def test_a_trial_that_torch_refuses_is_a_failed_trial(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable
+) -> None:
+    import torch
+
+    def fails(*_: object) -> Fit:
+        raise torch.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(type(METHODS["nnss"]), "fit", fails)
+    found = tune(small_data().fitting, 2, 2, "tpe", 0, {}, tmp_path / "study.db", lambda _: None)
+    assert [trial.state for trial in found] == ["fail", "fail"]

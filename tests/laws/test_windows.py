@@ -63,6 +63,7 @@ def model(name: str, kind: str, window: int) -> Model:
 def test_shapes_and_scores(name: str, kind: str, window: int) -> None:
     dataset = data(kind, window)
     scores, _ = simulate_splits(model(name, kind, window), dataset)
+    assert {score.split for score in scores} == set(dataset.splits())
     assert all(np.isfinite(score.rmse) for score in scores)
     for record in dataset.tests["test"]:
         simulation = model(name, kind, window).simulate(record.u, record.y[:window])

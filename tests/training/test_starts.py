@@ -86,11 +86,18 @@ def test_a_start_that_is_kept_and_one_that_is_refused_are_told(monkeypatch: pyte
     assert training.best_epoch == 0
     assert training.remarks == (
         "feedback start refused: no iterate validated better than the linear model",
-        "validation refused every step away from the linear start",
+        "validation refused every epoch after the linear start",
     )
     errors = iter([1.0, 2.0, 0.5, 2.0])
     fit = METHODS["nnss"].fit(data, 2, 0, {**BEST.__dict__, "recipe": "best", "initial": "linear"}, None)
     assert (fit.best_epoch, fit.remarks) == (2, ())
+
+
+def test_a_start_that_no_step_improved_was_not_refused_by_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the optimiser took no step, validation had none to refuse."""
+    monkeypatch.setattr(module, "gauss_newton", lambda *_: None)
+    training = train_nnss(dataset(np.sin(k * k), np.cos(k * k)), 2, 0, BEST.replace(initial="linear"))
+    assert (training.epochs, training.remarks) == (0, ("no step lowered the training error of the linear start",))
 
 
 def test_a_feedback_start_that_fails_leaves_the_linear_one(monkeypatch: pytest.MonkeyPatch) -> None:
