@@ -79,7 +79,7 @@ class NormalEquations:
         JᵀJ takes every k-th sample of a block.
         """
         gram, slope, squares, count = np.zeros((0, 0)), np.zeros(0), 0.0, 0
-        states = []
+        states: list[FloatArray] = []
         for block in blocks:  # where one is not finite, so is the sum
             (_, p), n = block.by_weights.shape, block.by_state.shape[1]
             if not states:
