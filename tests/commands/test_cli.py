@@ -60,9 +60,11 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     assert "instead of" in refused.err
 
 
-@pytest.mark.parametrize("study", ["recipe", "class", "stability"])
+@pytest.mark.parametrize(
+    "study", ["class", *(pytest.param(name, marks=pytest.mark.slow) for name in ("recipe", "stability"))]
+)
 def test_studies(nnss: Callable, study: str) -> None:
-    call = ("ablate", "twotank-sim", "--study", study, "--orders", "2", "--seeds", "2", "--epochs", "2", "--jobs", "1")
+    call = ("ablate", "twotank-sim", "--study", study, "--orders", "2", "--seeds", "1", "--epochs", "2", "--jobs", "1")
     outcome = nnss(*call)
     assert outcome.code == 0, outcome.err
     text = Path(f"results/twotank-sim/paper/study-{study}.md").read_text()
