@@ -21,7 +21,8 @@ from rich.table import Table
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.sweep import Event
 
-console = Console()
+# names and units are the user's: '[cm]' is no style and ':up:' no picture
+console = Console(markup=False, emoji=False)
 
 
 def print_rows(rows: Sequence[dict[str, str]], title: str, text_columns: int = 2) -> None:

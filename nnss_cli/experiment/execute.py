@@ -58,6 +58,8 @@ def execute(
             trained = sum(member.fit_seconds for member in members)
         else:
             fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        if not isinstance(fit, Fit):  # a plug-in may return anything
+            raise TypeError(f"fit of {method.name}: expected a Fit, found {fit!r:.80}")
         if fit.diverged:
             status, reason = "diverged", fit.diverged
         elif fit.model is None:

@@ -35,6 +35,7 @@ def sound_method(thing: Any) -> Method:
             raise ValueError(f"{name}: expected {kind.__name__}, found {getattr(thing, name)!r:.80}")
     if not thing.version:
         raise ValueError("version: expected a word, found none")
+    _check_call(thing, "fit", ("data", "order", "seed", "settings", "on_epoch"))
     if thing.members and type(thing).combine is Method.combine:
         raise ValueError(f"{type(thing).__name__} has members and lacks combine")
     options_of(thing.options)
@@ -44,6 +45,14 @@ def sound_method(thing: Any) -> Method:
         if _READERS.get(model, reader) is not reader:
             raise ValueError(f"models: '{model}' is a kind of nnss itself; take another name")
     return thing
+
+
+def _check_call(method: Method, name: str, arguments: Sequence[str]) -> None:
+    """A method that cannot be called is told before a run is planned, not by each run."""
+    try:
+        inspect.signature(getattr(method, name)).bind(*arguments)
+    except TypeError as error:
+        raise ValueError(f"{name}: expected {name}({', '.join(arguments)}): {error}") from error
 
 
 def _discovered() -> list[Method]:
