@@ -11,7 +11,7 @@ from typing import Any
 
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.methods.options import options_of
-from nnss_cli.methods.protocol import Method, Model, ModelReader
+from nnss_cli.methods.protocol import Fit, Method, Model, ModelReader
 from nnss_cli.plugins import Registry
 
 
@@ -44,6 +44,17 @@ def sound_method(thing: Any) -> Method:
             raise ValueError(f"models: expected a function that reads kind '{model}', found {reader!r:.80}")
         if _READERS.get(model, reader) is not reader:
             raise ValueError(f"models: '{model}' is a kind of nnss itself; take another name")
+    return thing
+
+
+def sound_fit(thing: Any, method: Method) -> Fit:
+    """What a method's fit returned: a plug-in may return anything.
+
+    Raises:
+        TypeError: it is no Fit.
+    """
+    if not isinstance(thing, Fit):
+        raise TypeError(f"fit of {method.name}: expected a Fit, found {thing!r:.80}")
     return thing
 
 
