@@ -22,7 +22,8 @@ from nnss_cli.experiment.estimate import Estimate
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
 
-console = Console()
+# names and units are the user's: '[cm]' is no style and ':up:' no picture
+console = Console(markup=False, emoji=False)
 
 
 def print_rows(rows: Sequence[dict[str, str]], title: str, text_columns: int = 2) -> None:

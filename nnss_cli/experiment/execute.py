@@ -15,6 +15,7 @@ from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_out
 from nnss_cli.experiment.store import Store
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods import METHODS, Fit, Method, Model, load_model
+from nnss_cli.methods.registry import sound_fit
 from nnss_cli.modelfile import Tensors
 from nnss_cli.version import __version__
 
@@ -64,6 +65,7 @@ def execute(
             trained = sum(member.fit_seconds for member in members)
         else:
             fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        fit = sound_fit(fit, method)
         if fit.diverged:
             status, reason = "diverged", fit.diverged
         elif fit.model is None:

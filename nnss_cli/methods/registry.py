@@ -11,7 +11,7 @@ from typing import Any
 
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.methods.options import options_of
-from nnss_cli.methods.protocol import Method, Model, ModelReader
+from nnss_cli.methods.protocol import Fit, Method, Model, ModelReader
 from nnss_cli.plugins import Registry
 
 
@@ -35,6 +35,7 @@ def sound_method(thing: Any) -> Method:
             raise ValueError(f"{name}: expected {kind.__name__}, found {getattr(thing, name)!r:.80}")
     if not thing.version:
         raise ValueError("version: expected a word, found none")
+    _check_call(thing, "fit", ("data", "order", "seed", "settings", "on_epoch"))
     if thing.members and type(thing).combine is Method.combine:
         raise ValueError(f"{type(thing).__name__} has members and lacks combine")
     options_of(thing.options)
@@ -44,6 +45,25 @@ def sound_method(thing: Any) -> Method:
         if _READERS.get(model, reader) is not reader:
             raise ValueError(f"models: '{model}' is a kind of nnss itself; take another name")
     return thing
+
+
+def sound_fit(thing: Any, method: Method) -> Fit:
+    """What a method's fit returned: a plug-in may return anything.
+
+    Raises:
+        TypeError: it is no Fit.
+    """
+    if not isinstance(thing, Fit):
+        raise TypeError(f"fit of {method.name}: expected a Fit, found {thing!r:.80}")
+    return thing
+
+
+def _check_call(method: Method, name: str, arguments: Sequence[str]) -> None:
+    """A method that cannot be called is told before a run is planned, not by each run."""
+    try:
+        inspect.signature(getattr(method, name)).bind(*arguments)
+    except TypeError as error:
+        raise ValueError(f"{name}: expected {name}({', '.join(arguments)}): {error}") from error
 
 
 def _discovered() -> list[Method]:

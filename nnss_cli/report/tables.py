@@ -166,10 +166,13 @@ def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dic
 
 
 def score_rows(result: RunResult) -> list[dict[str, str]]:
-    """One run's errors by split and output."""
+    """One run's errors by split and output, each with its own name and unit."""
+    names, units = result.channels["outputs"], result.channels["output_units"]
+    titles = [name if unit == "–" else f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
+    outputs = {f"y{i + 1}": title for i, title in enumerate(titles)}
     return [
         {
-            "split": score.split, "output": score.output, "RMSE": number(score.rmse),
+            "split": score.split, "output": outputs[score.output], "RMSE": number(score.rmse),
             "RMSE/σ": number(score.nrmse), "fit [%]": f"{score.fit_percent:.1f}",
         }
         for score in result.scores

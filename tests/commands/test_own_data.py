@@ -98,6 +98,22 @@ def test_a_record_in_any_format_is_compared_and_gives_the_same_numbers(
     assert "valve" in Path("results/plant/own/runs/n4sid-n1-s0/run.json").read_text()
 
 
+def test_units_in_names_reach_every_table(nnss: Callable, here: Path) -> None:
+    """Brackets are no markup and colons no pictures; columns of our own tables keep their units too."""
+    names = {"valve": "valve [%]", "pump": "pump [bar]", "level": "level :up: [cm]"}
+    write_csv(plant(0).rename(columns=names), here / "plant.csv")
+    roles = ("--inputs", "valve [%]", "pump [bar]", "--outputs", "level :up: [cm]", "--time", "t")
+    seen = nnss("inspect", "plant.csv", *roles)
+    assert seen.code == 0, seen.err
+    for name in names.values():
+        assert seen.out.count(name) >= 2, name
+    assert "[samples]" in seen.out
+    assert "[s]" in seen.out
+    trained = nnss("train", "plant.csv", *roles, "--output-units", "mm", "--method", "n4sid", "--order", "1")
+    assert trained.code == 0, trained.err
+    assert trained.out.count("level :up: [cm] [mm]") == 3
+
+
 def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) -> None:
     write_csv(plant(0), here / "plant.csv")
     outcome = nnss("inspect", "plant.csv", "--outputs", "level", "--output-units", "mm", "--write", "plant.toml")

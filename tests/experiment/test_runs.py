@@ -114,6 +114,10 @@ def test_failure_and_divergence_are_results(
     assert (result.status, result.epochs) == ("diverged", 4)
     assert len(plan(store, dataset, select(["n4sid"]), [2], [0], {}, False).done) == 1
 
+    monkeypatch.setattr(type(METHODS["n4sid"]), "fit", lambda *_: 3)
+    with pytest.raises(TypeError, match="fit of n4sid: expected a Fit, found 3"):  # a fault of the method
+        execute(spec, dataset, store)
+
 
 def edit(path: Path, change: Callable[[dict], object]) -> None:
     content = json.loads(path.read_text())

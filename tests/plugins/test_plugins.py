@@ -192,6 +192,7 @@ FIT_TEXT = "    def fit(self, *_):\n        return Fit(None)\n"
         (METHOD_TEXT + FIT_TEXT + "METHODS = M(), M()", ["'mine'", "claimed by file", "and file"]),
         (METHOD_TEXT + FIT_TEXT + "    options = dict\nMETHOD = M", ["options", "frozen dataclass", "dict"]),
         (METHOD_TEXT + FIT_TEXT + "    version = ''\nMETHOD = M", ["version", "expected a word"]),
+        (METHOD_TEXT + FIT_TEXT.replace("*_", "data") + "METHOD = M", ["expected fit(data, order, seed"]),
         (METHOD_TEXT + FIT_TEXT + "    members = 'n4sid'\nMETHOD = M", ["has members and lacks combine"]),
         (METHOD_TEXT + FIT_TEXT + "    models = {'linear': print}\nMETHOD = M", ["'linear'", "nnss itself"]),
         (METHOD_TEXT + FIT_TEXT + "    models = {'mine': 3}\nMETHOD = M", ["reads kind 'mine'"]),
