@@ -163,3 +163,21 @@ def test_dataclasses_are_frozen() -> None:
                 own = [v for v in values if isinstance(v, type) and is_dataclass(v) and v.__module__ == found.name]
                 thawed |= {value.__name__ for value in own if not value.__dataclass_params__.frozen}
     assert thawed == {"EarlyStopping", "_Problem"}
+
+
+def test_no_code_outside_a_datasets_own_file_knows_its_name() -> None:
+    """No string of the code is one; help texts may show a name in an example."""
+    from nnss_cli.datasets.catalog import BENCHMARKS
+
+    root = Path(__file__).parents[1]
+    known = {
+        (path.relative_to(root).as_posix(), name)
+        for folder in ("nnss_cli", "datasets", "baselines")
+        for path in (root / folder).rglob("*.py")
+        if path.parent != root / "datasets" / "catalog"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for name in BENCHMARKS.built_in
+        if node.value == name
+    }
+    assert known == set()
