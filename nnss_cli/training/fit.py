@@ -83,7 +83,8 @@ def train_nnss(
         InputError: a training record is shorter than the window.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
-    first, *further = stages(data.normalised()[0], recipe)
+    train, val = data.normalised()
+    first, *further = stages(train, recipe)
     attempts: list[_Attempt] = []
     candidates = recipe.candidates()
     if len(candidates) > 1 and feedthrough_p_value(data.train) > LEVEL:
@@ -91,14 +92,15 @@ def train_nnss(
     for candidate in candidates:
         before = sum(len(attempt.watch.losses) for attempt in attempts)
         rival = min((attempt.error for attempt in attempts), default=math.inf)
-        attempts.append(_Attempt(data, order, seed, candidate, first, rival, _after(before, on_epoch)))
+        attempts.append(_Attempt(data, order, seed, candidate, first, val, rival, _after(before, on_epoch)))
         attempts[-1].train(first, recipe.epochs)
-    taken = attempts[chosen([attempt.error for attempt in attempts])]
+    errors = [attempt.error for attempt in attempts]
+    taken = attempts[chosen(errors)]
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged:
             taken.train(records, max(1, recipe.epochs // 2**index))
-    errors = {attempt.recipe.feedthrough: attempt.error_of_first_stage for attempt in attempts}
-    return taken.training(errors if len(attempts) > 1 else {})
+    names = [candidate.feedthrough for candidate in candidates]
+    return taken.training(dict(zip(names, errors, strict=True)) if len(names) > 1 else {})
 
 
 def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]]:
@@ -151,20 +153,19 @@ class _Attempt:
         seed: int,
         recipe: Recipe,
         train: tuple[Record, ...],
+        val: tuple[Record, ...],
         rival: float,
         on_epoch: EpochCallback | None,
     ) -> None:
-        """Build the model and its start from the records of the first stage, normalised.
+        """Build the model and its start from records of the first stage and of validation, normalised.
 
         It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it.
         """
         self.recipe, self.seed = recipe, seed
-        val = data.normalised()[1]
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
         self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window)
         self.watch = _Watch(val, data.init_window, recipe, rival, on_epoch)
-        self.error_of_first_stage = math.inf
         self.samples = 0  # of the last stage that ended well
 
     @property
@@ -200,8 +201,6 @@ class _Attempt:
             watch.diverged = ""
             return
         self.samples = samples
-        if not later:
-            self.error_of_first_stage = self.error
 
     def training(self, candidates: dict[str, float]) -> Training:
         """What came of it, with the best weights in the model."""
