@@ -39,13 +39,6 @@ PRESETS = {
         4: _PAPER,
         5: _PAPER | {"hidden": (180,) * 5, "encoder": (117,) * 4},
     },
-    # 100 samples: depth and consistency act as a prior, and a warm start overfits
-    "best": {
-        4: {
-            "hidden": (120,) * 6, "encoder": (64,) * 4, "dtype": "float32", "window": 60, "stride": 10, "batch": 5,
-            "initial": "random", "optimiser": "adam", "epochs": 1000, "patience": 400, "consistency": 0.3,
-        }
-    },
 }  # fmt: skip
 
 

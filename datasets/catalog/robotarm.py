@@ -33,8 +33,6 @@ CONTENTS = {"ue": _UE, "ye": _YE, "uv1": _UV1, "yv1": _YV1, "uv3": _UNKNOWN, "yv
 _PAPER = {"hidden": (150,) * 4, "encoder": (64,) * 4, "window": 100, "stride": 5, "batch": 32}
 PRESETS = {
     "paper": {4: _PAPER, 5: _PAPER, 6: _PAPER | {"hidden": (200,) * 4}},
-    # its errors are coloured noise and unmodelled modes: more iterations only overfit
-    "best": {5: {"hidden": (16,), "epochs": 5}},
 }
 
 

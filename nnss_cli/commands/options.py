@@ -154,10 +154,14 @@ FIT_OPTIONS: dict[str, Any] = {
     "consistency": _training(float, "--lambda", "λ", "Weight of the state-consistency term."),
     "hidden": _training(list[int], "--hidden", "N …", "Widths of the generator's layers, e.g. --hidden 100 100."),
     "encoder": _training(list[int], "--encoder", "N …", "Widths of the encoder's layers."),
-    "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y", "What schedules the matrices."),
+    "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y|auto", "What schedules the matrices."),
     "feedthrough": _training(
         str, "--feedthrough", "auto|yes|no", "D in y = C x + D u, of NN-SS and SSEST; auto: validation decides."
     ),
+    "integrator": _training(
+        str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."
+    ),
+    "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
     "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
@@ -167,7 +171,10 @@ FIT_OPTIONS: dict[str, Any] = {
     ),
     "refine": _training(int, "--refine", "N", "Gauss–Newton iterations after Adam, at most."),
     "initial": _training(
-        str, "--start", "random|linear|feedback", "Random weights, SSEST's model, or that with saturated feedback."
+        str,
+        "--start",
+        "random|linear|feedback|auto",
+        "Random weights, SSEST's model, or that with saturated feedback; auto: feedback, or a deep cold model.",
     ),
     "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),

@@ -47,7 +47,7 @@ class Stress:
     state: float
     """Largest ‖x‖."""
     output: float
-    """Largest |y|, any output."""
+    """Largest |y|, any output; of an integrator's model, what it sums up."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class Certificate:
     """nnss or linear."""
     stability: str
     """schur, contraction, none, or linear."""
+    covers: str
+    """The model, or its LPV part alone where an integrator follows."""
     gamma: float
     """The promised bound: on ρ(A) for schur, on ‖A‖₂ for contraction; inf where nothing is promised."""
     records: int
@@ -172,9 +174,9 @@ def certify(
         reached += [(run.state, f"under input '{run.input}'") for run in stress]
         broken += [f"state {x:.4g} {where}, promised at most {bound:.4g}" for x, where in reached if not x <= limit]
     return Certificate(
-        system.kind, system.stability, system.gamma, len(everything), holds_for, radius, state, largest_initial,
-        box_radius, box_norm, bound, invariant, B_bound, C_bound, D_bound, input_bound, lyapunov, rate, stress, seconds,
-        tuple(broken),
+        system.kind, system.stability, system.covers, system.gamma, len(everything), holds_for, radius, state,
+        largest_initial, box_radius, box_norm, bound, invariant, B_bound, C_bound, D_bound, input_bound, lyapunov, rate,
+        stress, seconds, tuple(broken),
     )  # fmt: skip
 
 
@@ -233,6 +235,11 @@ class _Neural:
     kind = "nnss"
 
     def __init__(self, model: NNSS) -> None:
+        integrates = model.architecture.integrator
+        self.covers = (
+            "the LPV part: the outputs integrate what it gives and have no bound" if integrates else "the model"
+        )
+        model = model.lpv_part()
         self.model, self.weights = model, Weights(model)
         a = self.architecture = model.architecture
         self.stability = a.stability
@@ -318,6 +325,7 @@ class _Neural:
 
 class _Linear:
     kind = stability = "linear"
+    covers = "the model"
     gamma = math.inf  # a linear method promises nothing
 
     def __init__(self, model: LinearModel) -> None:

@@ -59,7 +59,7 @@ class NNSS(Method):
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """The recipe for the dataset and order, with the user's changes."""
-        from nnss_cli.training.recipe import Recipe, recipe_of
+        from nnss_cli.training.recipe import COLD, Recipe, recipe_of
 
         changes = chosen_options(Recipe, overrides)
         if changes.get("engine") == "auto":
@@ -67,6 +67,8 @@ class NNSS(Method):
         name = self.recipe or str(overrides.get("recipe", "best"))
         known = recipe_of(name, data.presets, order, data.output_count)
         recipe = known.replace(**changes)
+        if recipe.initial == "auto" and "initial" not in changes and COLD & changes.keys():
+            recipe = recipe.replace(initial="feedback")  # what is asked for holds for every candidate
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(data.train, recipe.window)
         # the label is the recipe's only where every field is; engines compute the same
@@ -104,7 +106,7 @@ class NNSS(Method):
             best_epoch=training.best_epoch,
             diverged=training.diverged,
             history={"train_loss": training.train_loss, "val_rmse": training.val_rmse}
-            | {f"val_rmse, feedthrough {name}": [error] for name, error in training.candidates.items()},
+            | {f"val_rmse, {name}": [error] for name, error in training.candidates.items()},
             remarks=training.remarks,
         )
 

@@ -20,7 +20,7 @@ class Architecture:
     """Sizes and fixed choices of an NN-SS model."""
 
     order: int
-    """Number of states n."""
+    """Number of states n of the LPV part: all there are, but for those of the integrator."""
     inputs: int
     """Number of inputs r."""
     outputs: int
@@ -41,12 +41,16 @@ class Architecture:
     """How A follows from the generator: schur, contraction or none."""
     feedthrough: bool = False
     """Whether there is a D(ρ): y = C(ρ) x + D(ρ) u instead of the paper's y = C(ρ) x."""
+    integrator: bool = False
+    """Whether each output sums up what the LPV part gives: y(k+1) = y(k) + C(ρ) x [+ D(ρ) u], m states more."""
 
     def __post_init__(self) -> None:
         if self.scheduling not in SCHEDULING:
             raise unknown("scheduling", self.scheduling, SCHEDULING)
         if self.dtype not in DTYPES:
             raise unknown("dtype", self.dtype, DTYPES)
+        if self.integrator and "y" in self.scheduling:  # it would close a loop around the integrator
+            raise InputError(f"integrator: expected scheduling x or x+u, found {self.scheduling}")
         if self.stability not in STABILITIES:
             raise unknown("stability", self.stability, STABILITIES)
         if not 0 < self.gamma <= 1:
@@ -58,13 +62,23 @@ class Architecture:
                 f"order and widths must be at least 1 and the generator needs a hidden layer: found order "
                 f"{self.order}, hidden {self.hidden}, encoder {self.encoder}"
             )
-        generator = (self.scheduling_size, *self.hidden, sum(self.parameter_sizes))
-        weights = sum(a * b for a, b in pairwise(generator)) + sum(a * b for a, b in pairwise(self.encoder))
-        if weights > MAX_WEIGHTS:  # before any memory is taken
+        if self.weights > MAX_WEIGHTS:  # before any memory is taken
             raise InputError(
-                f"expected at most {MAX_WEIGHTS:,} weights, found {weights:,} with order {self.order}, hidden "
+                f"expected at most {MAX_WEIGHTS:,} weights, found {self.weights:,} with order {self.order}, hidden "
                 f"{self.hidden}, encoder {self.encoder}: take fewer or narrower layers"
             )
+
+    @property
+    def weights(self) -> int:
+        """Number of all weights and biases."""
+        generator = (self.scheduling_size, *self.hidden, sum(self.parameter_sizes))
+        encoder = (self.outputs, *self.encoder, self.order)
+        return sum((before + 1) * width for chain in (generator, encoder) for before, width in pairwise(chain))
+
+    @property
+    def states(self) -> int:
+        """Number of all states: the integrator's are the last m."""
+        return self.order + self.outputs * self.integrator
 
     @property
     def scheduling_size(self) -> int:

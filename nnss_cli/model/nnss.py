@@ -2,6 +2,14 @@
 
     x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k) [+ D(ρ) u(k)],   x(0) = g(y(0))
 
+With an integrator, another option beyond the paper, the outputs sum up what that part gives, v for y above,
+
+    w(k+1) = w(k) + s (v(k) + d),   y(k) = w(k),   w(0) = y(0)
+
+with s the usual size of an output's steps, and d, which is trained, its drift while u is at its mean. So m eigenvalues
+are exactly 1, whatever the weights, and the others stay what they are: w feeds nothing back.
+The state is then [x; w].
+
 ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
 follows from W and V by the Schur parametrisation. The encoder g is a chain of linear layers. D is an option
 beyond the paper: without it an input cannot show in the output of the same sample.
@@ -12,7 +20,7 @@ Models for System Identification", arXiv:2510.24757, 2025, and the code released
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -26,6 +34,15 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.initial import SINGULAR, response, state_from_window
 from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, write_model
+
+
+class Drift(nn.Module):
+    """What an integrator's outputs gain in a sample while the LPV part gives nothing: d (m,), in steps."""
+
+    def __init__(self, outputs: int, dtype: torch.dtype) -> None:
+        """No drift."""
+        super().__init__()
+        self.bias = nn.Parameter(torch.zeros(outputs, dtype=dtype))
 
 
 class NNSS(nn.Module):
@@ -46,6 +63,8 @@ class NNSS(nn.Module):
             layers += [nn.Linear(before, width, dtype=self.dtype), nn.Sigmoid()]
         layers.append(nn.Linear(a.hidden[-1], sum(a.parameter_sizes), dtype=self.dtype))
         self.generator = nn.Sequential(*layers)
+        if a.integrator:
+            self.generator_drift = Drift(a.outputs, self.dtype)
         self.encoder = nn.Sequential(
             *(
                 nn.Linear(before, width, dtype=self.dtype)
@@ -54,6 +73,9 @@ class NNSS(nn.Module):
         )
         for name, statistic in asdict(scaling).items():
             self.register_buffer(name, torch.tensor(statistic, dtype=torch.float64))
+        if a.integrator:
+            self.step_size: Tensor
+            self.register_buffer("step_size", torch.ones(a.outputs, dtype=self.dtype))
         with torch.no_grad():
             for parameter in self.parameters():
                 parameter.zero_()
@@ -70,6 +92,15 @@ class NNSS(nn.Module):
                 else:
                     bound = np.sqrt(6.0 / sum(parameter.shape))
                     parameter.copy_(torch.from_numpy(random.uniform(-bound, bound, tuple(parameter.shape))))
+
+    def lpv_part(self) -> NNSS:
+        """The model without its integrator, whose output is what the integrator sums up; itself where it has none."""
+        if not self.architecture.integrator:
+            return self
+        part = NNSS(replace(self.architecture, integrator=False), self.scaling, self.channels, self.Ts)
+        whole = self.state_dict()
+        part.load_state_dict({name: whole[name] for name in part.state_dict()})
+        return part
 
     @property
     def scaling(self) -> Scaling:
@@ -111,6 +142,7 @@ class NNSS(nn.Module):
         A x = S12 (M⁻¹ x), so A itself is not formed.
         """
         a = self.architecture
+        x, w = x[..., : a.order], x[..., a.order :]
         W, V, B, C, D = self.matrices(self.rho(x, u, y_previous))
         if a.stability == "schur":
             S12, M = schur_terms(W, V, a.gamma, a.epsilon)
@@ -121,7 +153,14 @@ class NNSS(nn.Module):
         y = (C @ x.unsqueeze(-1)).squeeze(-1)
         if D is not None:
             y = y + (D @ u.unsqueeze(-1)).squeeze(-1)
+        if a.integrator:
+            return torch.cat([x_next, w + self.step_size * (y + self.generator_drift.bias)], dim=-1), w
         return x_next, y
+
+    def encode(self, y0: Tensor) -> Tensor:
+        """x(0) (…, n) from first outputs (…, m): the encoder's, and the outputs themselves for an integrator's."""
+        x = self.encoder(y0)
+        return torch.cat([x, y0], dim=-1) if self.architecture.integrator else x
 
     def forward(
         self, u: Tensor, y0: Tensor, y_previous: Tensor | None = None, x0: Tensor | None = None
@@ -137,7 +176,7 @@ class NNSS(nn.Module):
         Returns:
             y (b, K, m) and x (b, K, n).
         """
-        x = self.encoder(y0) if x0 is None else x0
+        x = self.encode(y0) if x0 is None else x0
         y_previous = y0 if y_previous is None else y_previous
         xs, ys = [], []
         for k in range(u.shape[1]):
@@ -161,7 +200,7 @@ class NNSS(nn.Module):
                 return np.full(y.numel(), np.inf), np.full((y.numel(), len(x0)), np.inf)
             return (simulated - y).ravel().numpy().astype(np.float64), J.flatten(0, 1).numpy().astype(np.float64)
 
-        guess = self.encoder(y[:1])[0].numpy().astype(np.float64)
+        guess = self.encode(y[:1])[0].numpy().astype(np.float64)
         x0 = state_from_window(evaluate, guess, torch.finfo(self.dtype).eps)
         return torch.tensor(x0, dtype=self.dtype)[None]
 

@@ -204,6 +204,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
     linear = found.kind == "linear"
     where = "the only A" if linear else "box, sampled"
     rows = {
+        **({"examined": found.covers} if found.covers != "the model" else {}),
         "promised": promise,
         **{f"largest ρ(A), {split}": known(radius) for split, radius in found.radius.items()},
         **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},

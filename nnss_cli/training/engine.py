@@ -77,7 +77,8 @@ def training_loss(model: NNSS, u: Tensor, y: Tensor, consistency: float) -> Tens
     response = (y_simulated - y).square().mean()
     if consistency == 0:
         return response
-    return response + consistency * (x[:, 1:] - model.encoder(y[:, 1:])).square().mean()
+    x = x[:, 1:, : model.architecture.order]  # an integrator's states are the outputs
+    return response + consistency * (x - model.encoder(y[:, 1:])).square().mean()
 
 
 def split_first(model: NNSS, u: Tensor, y: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:
@@ -160,7 +161,8 @@ class ReferenceEngine:
             parts = torch.autograd.functional.jacobian(lambda *values, run=run: run(*values)[0], at)
             by_weights = torch.cat([part.flatten(3) for part in parts[:-1]], dim=3).flatten(0, 2)
             errors, by_state = (y_simulated - y).ravel(), parts[-1].flatten(3).flatten(0, 2)
-            e, J, S, x = (part.numpy().astype(np.float64) for part in (errors, by_weights, by_state, states[0]))
+            own = states[0, :, : self.model.architecture.order]
+            e, J, S, x = (part.numpy().astype(np.float64) for part in (errors, by_weights, by_state, own))
             yield Block(e, J, S, window, x)
 
     @torch.no_grad()

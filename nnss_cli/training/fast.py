@@ -32,6 +32,8 @@ class Weights:
         self.shapes = {name: array.shape for name, array in parameters.items()}
         self.vector = np.concatenate([array.ravel() for array in parameters.values()])
         self.generator_size = sum(array.size for name, array in parameters.items() if name.startswith("generator"))
+        self.drift = slice(self.generator_size - a.outputs * a.integrator, self.generator_size)
+        self.step_size = model.step_size.numpy() if a.integrator else np.ones(0)
         self.widths = np.array([a.scheduling_size, *a.hidden, sum(a.parameter_sizes)])
 
     def views(self, vector: FloatArray) -> dict[str, FloatArray]:
@@ -49,9 +51,10 @@ class Weights:
         return list(zip(arrays[::2], arrays[1::2], strict=True))
 
     def encode(self, y0: FloatArray) -> FloatArray:
-        """Initial states (n, …) from first outputs (m, …)."""
+        """Initial states (n, …) from first outputs (m, …); an integrator's are the outputs."""
         E, e = encoder_map(self.encoder(self.vector), self.architecture.outputs)[-1]
-        return E @ y0 + e.reshape(-1, *[1] * (y0.ndim - 1))
+        x = E @ y0 + e.reshape(-1, *[1] * (y0.ndim - 1))
+        return np.concatenate([x, y0]) if self.architecture.integrator else x
 
     def free_run(self, u: FloatArray, y_init: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Simulated outputs (K, m) and states (K, n) in normalised units; see `Engine`."""
@@ -65,7 +68,7 @@ class Weights:
 
     def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
         """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
-        n, p = self.architecture.order, self.generator_size
+        n, p = self.architecture.states, self.generator_size
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
             parts = list(self.sensitivities(x0, u[: len(y)], y[0]))
@@ -80,13 +83,15 @@ class Weights:
         """Of a simulation of u (K, r) from x0 (n,) and the output y0 (m,) before it, in stretches of k samples.
 
         Yields:
-            Outputs (k, m), states (k, n), and the outputs' derivatives (k, m, p + n) by the generator's weights and x0.
+            Outputs (k, m), states (k, n) without an integrator's, and the outputs' derivatives (k, m, p + n) by the
+            generator's weights and x0.
         """
-        a, dtype, p = self.architecture, self.vector.dtype, self.generator_size
+        a, dtype, p = self.architecture, self.vector.dtype, self.drift.start
         n, m = a.order, a.outputs
         S = np.zeros((n + m, p + n), dtype)
         S[:n, p:] = np.eye(n)
-        x0, u, y0 = (np.array(signal, dtype, order="C") for signal in (x0, u, y0))
+        x0, w, u, y0 = (np.array(signal, dtype, order="C") for signal in (x0[:n], x0[n:], u, y0))
+        by_w = np.eye(m, p + m + n + m, p + m + n, dtype)  # ∂w/∂(generator, drift, x0, w0)
         for start in range(0, len(u), STRETCH):
             part = u[start : start + STRETCH]
             k = len(part)
@@ -95,6 +100,11 @@ class Weights:
                 self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
                 a.epsilon, x0, part, y0, S, y, x, J,
             )  # fmt: skip
+            if a.integrator:
+                s, same = self.step_size, np.broadcast_to(np.eye(m, dtype=dtype), (k, m, m))
+                J = np.concatenate([J[:, :, :p], same, J[:, :, p:], 0 * same], axis=2)
+                y, w = integrated(s * (y + self.vector[self.drift]), w)
+                J, by_w = integrated(s[:, None] * J, by_w)
             yield y, x, J
 
     def free_runs(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,12 +112,22 @@ class Weights:
         a, dtype = self.architecture, self.vector.dtype
         K, _, b = u.shape
         y, x = np.empty((K, a.outputs, b), dtype), np.empty((K, a.order, b), dtype)
-        u, y0, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0))
+        u, y0, w, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0[a.order :], x0[: a.order]))
         kernels.free_run(
             self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
             a.epsilon, x0, u, y0, y, x,
         )  # fmt: skip
+        if a.integrator:
+            y, _ = integrated(self.step_size[:, None] * (y + self.vector[self.drift][:, None]), w)
+            x = np.concatenate([x, y], axis=1)
         return y, x
+
+
+def integrated(v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """w(k) (K, …) with w(k+1) = w(k) + v(k), from v (K, …) and w(0) (…); and w(K)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        sums = w + np.cumsum(v, axis=0)
+    return np.concatenate([w[None], sums[:-1]]), sums[-1]
 
 
 @functools.cache

@@ -1,18 +1,20 @@
-"""The training loop: shuffled mini-batches, a validation run each epoch, early stopping."""
+"""The training loop: candidates, shuffled mini-batches, a validation run each epoch, early stopping."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 
-from nnss_cli.baselines.feedthrough import feedthrough_p_value
+from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
 from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import SHORTEST, sliding_windows
+from nnss_cli.errors import InputError
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
@@ -21,7 +23,7 @@ from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.warm import linear_start, warm_start
+from nnss_cli.training.warm import differences, linear_start, step_size, sum_up, warm_start
 
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
@@ -31,6 +33,14 @@ LEVEL = 0.01
 """Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
 PAYS = 0.2
 """What a further candidate must take off the validation error, relative."""
+SIMPLEST = "as it is"
+ALTERNATIVES = {
+    "feedthrough": "feedthrough",
+    "integrator": "integrator",
+    "scheduling": "scheduling on u",
+    "initial": "cold start",
+}
+"""Field of a recipe that leaves something open → the name of what is tried then."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,7 @@ class Training:
     remarks: tuple[str, ...] = ()
     """What a reader of the result must know of the start and what came of it."""
     candidates: dict[str, float] = field(default_factory=dict)
-    """Feedthrough → validation error after the first stage, where it was open."""
+    """Name of a candidate → validation error after the first stage, where there were several."""
 
 
 def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:
@@ -69,8 +79,8 @@ def train_nnss(
 ) -> Training:
     """Train an NN-SS model.
 
-    Every candidate of the recipe trains on the first stage; the one that `chosen` takes goes through the others. A
-    feedthrough is a candidate only where the input shows at once in the training records.
+    On the first stage the recipe's simplest candidate is trained, then each alternative that `worth_trying` names, as
+    a change of the best so far; one is taken where it `pays`. The one taken goes through the other stages.
 
     Args:
         data: train and validation records, physical units.
@@ -80,27 +90,77 @@ def train_nnss(
         on_epoch: called after each epoch with its number, loss and validation error. Epochs count on over candidates.
 
     Raises:
-        InputError: a training record is shorter than the window.
+        InputError: a training record is shorter than the window, or the budget too small for one epoch.
     """
     torch.set_num_threads(1)  # tiny matrices: more threads are slower, and the result would depend on them
+    clock = _Clock(recipe.budget)
     train, val = data.normalised()
     first, *further = stages(train, recipe)
-    attempts: list[_Attempt] = []
-    candidates = recipe.candidates()
-    if len(candidates) > 1 and feedthrough_p_value(data.train) > LEVEL:
-        candidates = candidates[:1]
-    for candidate in candidates:
-        before = sum(len(attempt.watch.losses) for attempt in attempts)
-        rival = min((attempt.error for attempt in attempts), default=math.inf)
-        attempts.append(_Attempt(data, order, seed, candidate, first, val, rival, _after(before, on_epoch)))
-        attempts[-1].train(first, recipe.epochs)
-    errors = [attempt.error for attempt in attempts]
-    taken = attempts[chosen(errors)]
+    epochs = 0
+
+    def attempt(candidate: Recipe, rival: float) -> _Attempt:
+        nonlocal epochs
+        tried = _Attempt(data, order, seed, candidate, first, val, rival, clock, _after(epochs, on_epoch))
+        if not clock.up:
+            tried.train(first, candidate.epochs)
+        epochs += len(tried.watch.losses)
+        return tried
+
+    taken = attempt(recipe.simplest(), math.inf)
+    if clock.up and taken.samples == 0:
+        raise InputError(
+            f"budget: {recipe.budget:g} s are too few for one candidate, whose start alone took {clock.elapsed:.1f} s: "
+            "give more, or --start random"
+        )
+    errors, won, unfinished = {SIMPLEST: taken.error}, [], []
+    for name in worth_trying(data, order, recipe, first):
+        if clock.up:
+            unfinished.append(name)
+            continue
+        changed = taken.recipe.replace(**recipe.alternatives(min(map(len, first)))[name])
+        tried = attempt(changed, taken.error)
+        label = " with ".join([*won[-1:], ALTERNATIVES[name]])
+        errors[label] = tried.error
+        if pays(tried.error, taken.error):
+            taken = tried
+            won.append(label)
     for index, records in enumerate(further, 1):
-        if not taken.watch.diverged:
-            taken.train(records, max(1, recipe.epochs // 2**index))
-    names = [candidate.feedthrough for candidate in candidates]
-    return taken.training(dict(zip(names, errors, strict=True)) if len(names) > 1 else {})
+        if not taken.watch.diverged and not clock.up:
+            taken.train(records, max(1, taken.recipe.epochs // 2**index))
+        elif clock.up:
+            unfinished.append(f"stage of {sum(map(len, records))} samples")
+    remarks = tuple(f"{name} taken: it lowers the validation error by more than {PAYS:.0%}" for name in won)
+    if unfinished or clock.up:
+        left = f", without {', '.join(unfinished)}" if unfinished else ""
+        remarks += (f"stopped by the budget of {recipe.budget:g} s{left}",)
+    return taken.training(remarks, errors if len(errors) > 1 else {})
+
+
+def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
+    """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
+
+    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, a
+    deep cold model where there are more weights than measured outputs.
+
+    Args:
+        data: physical units.
+        order: number of states n.
+        recipe: with something left open.
+        first: records of the first stage.
+    """
+    open_ones = recipe.alternatives(min(map(len, first)))
+    weights = recipe.simplest().architecture(order, data.input_count, data.output_count).weights
+    speaks: dict[str, Callable[[], bool]] = {
+        "feedthrough": lambda: feedthrough_p_value(data.train) <= LEVEL,
+        "integrator": lambda: (
+            recipe.simplest().integrates
+            and order > data.output_count
+            and longest_time_constant(data.train) >= max(map(len, data.train))
+        ),
+        "scheduling": lambda: True,
+        "initial": lambda: weights > sum(record.y.size for record in data.train),
+    }
+    return tuple(name for name in open_ones if speaks[name]())
 
 
 def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]]:
@@ -123,17 +183,14 @@ def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]
     return [*found, train]
 
 
-def chosen(errors: Sequence[float]) -> int:
-    """Which candidate is taken: the first, unless a later one has a validation error lower by more than `PAYS`.
+def pays(error: float, rival: float) -> bool:
+    """Whether a more complex candidate is taken: its validation error is lower than its rival's by more than `PAYS`.
 
     Args:
-        errors: of the candidates on validation, the simplest first; inf for one that diverged.
+        error: inf for one that diverged.
+        rival: of the simpler candidate.
     """
-    taken = 0
-    for index, error in enumerate(errors):
-        if error < (1 - PAYS) * errors[taken]:
-            taken = index
-    return taken
+    return error < (1 - PAYS) * rival
 
 
 def _after(before: int, on_epoch: EpochCallback | None) -> EpochCallback | None:
@@ -141,6 +198,23 @@ def _after(before: int, on_epoch: EpochCallback | None) -> EpochCallback | None:
     if on_epoch is None or before == 0:
         return on_epoch
     return lambda epoch, loss, error: on_epoch(before + epoch, loss, error)
+
+
+class _Clock:
+    """What is left of a budget [s]; without one, always something."""
+
+    def __init__(self, budget: float) -> None:
+        self.budget, self.began = budget or math.inf, time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the training began."""
+        return time.monotonic() - self.began
+
+    @property
+    def up(self) -> bool:
+        """Whether nothing is left."""
+        return self.elapsed > self.budget
 
 
 class _Attempt:
@@ -155,6 +229,7 @@ class _Attempt:
         train: tuple[Record, ...],
         val: tuple[Record, ...],
         rival: float,
+        clock: _Clock,
         on_epoch: EpochCallback | None,
     ) -> None:
         """Build the model and its start from records of the first stage and of validation, normalised.
@@ -165,7 +240,7 @@ class _Attempt:
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
         self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window)
-        self.watch = _Watch(val, data.init_window, recipe, rival, on_epoch)
+        self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
     @property
@@ -188,11 +263,11 @@ class _Attempt:
                 _adam(watch.engine, len(u), batches, recipe, named_random(self.seed, "shuffling"), watch)
                 if recipe.refine > 0 and not watch.diverged:
                     watch.begin_again()
-                    gauss_newton(watch.engine, y, min(recipe.refine, epochs), watch.goes_on, recipe.fixed_encoder)
+                    self.gauss_newton(y, min(recipe.refine, epochs))
             elif recipe.optimiser == "lbfgs":
                 _lbfgs(watch.engine, epochs, watch)
             else:
-                gauss_newton(watch.engine, y, epochs, watch.goes_on, recipe.fixed_encoder)
+                self.gauss_newton(y, epochs)
         except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
             watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
         samples = sum(len(record) for record in records)
@@ -202,8 +277,13 @@ class _Attempt:
             return
         self.samples = samples
 
-    def training(self, candidates: dict[str, float]) -> Training:
-        """What came of it, with the best weights in the model."""
+    def gauss_newton(self, y: Sequence[FloatArray], iterations: int) -> None:
+        """Gauss–Newton iterations from the weights as they are, outputs of the windows (L, m)."""
+        integrator = self.model.architecture.integrator
+        gauss_newton(self.watch.engine, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder, integrator)
+
+    def training(self, further: tuple[str, ...], candidates: dict[str, float]) -> Training:
+        """What came of it, with the best weights in the model, and `further` remarks."""
         watch, remarks = self.watch, self.remarks
         if self.start != "random" and watch.best_epoch == 0 and not watch.diverged:
             refused = (
@@ -212,8 +292,6 @@ class _Attempt:
                 else "no step lowered the training error of the"
             )
             remarks += (f"{refused} {self.start} start",)
-        if len(candidates) > 1 and self.recipe.feedthrough == "yes":
-            remarks += (f"feedthrough taken: it lowers the validation error by more than {PAYS:.0%}",)
         self.model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
         return Training(
             self.model,
@@ -222,7 +300,7 @@ class _Attempt:
             watch.diverged,
             watch.losses,
             watch.errors,
-            remarks,
+            remarks + further,
             candidates,
         )
 
@@ -231,6 +309,8 @@ def begin(
     model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int, init_window: int = 1
 ) -> tuple[str, tuple[str, ...]]:
     """Fill the weights of `model` with the start asked for, or with the next that these data allow.
+
+    With an integrator the start is that of the outputs' differences.
 
     Args:
         model: changed in place.
@@ -243,6 +323,18 @@ def begin(
     Returns:
         The start that was taken, and remarks on those that were not.
     """
+    if not model.architecture.integrator:
+        return _begin(model, initial, train, val, seed, init_window)
+    size = step_size(train)
+    begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window)
+    sum_up(model, size, train)
+    return begun
+
+
+def _begin(
+    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int, init_window: int
+) -> tuple[str, tuple[str, ...]]:
+    """`begin` without a look at the integrator."""
     remarks: tuple[str, ...] = ()
 
     def draw() -> None:
@@ -288,10 +380,13 @@ class _Watch:
         init_window: int,
         recipe: Recipe,
         rival: float,
+        clock: _Clock,
         on_epoch: EpochCallback | None,
     ) -> None:
-        self.val, self.init_window, self.on_epoch = val, init_window, on_epoch
-        self.rival, self.trial = rival, max(1, int(TRIAL * recipe.epochs))
+        self.val, self.init_window, self.clock, self.on_epoch = val, init_window, clock, on_epoch
+        # Adam begins far behind whatever it comes to, and so does what was a start for differences
+        patient = recipe.optimiser == "adam" or recipe.integrator == "yes"
+        self.rival, self.trial = rival, 0 if patient else max(1, int(TRIAL * recipe.epochs))
         self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
         self.kept: Tensors = {}
         self.best_epoch, self.diverged, self.epoch_waits = 0, "", 1
@@ -333,7 +428,7 @@ class _Watch:
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
         behind = epoch == self.trial and self.stopping.best > self.rival
-        return not (self.stopping.stop or behind)
+        return not (self.stopping.stop or behind or self.clock.up)
 
 
 def _adam(

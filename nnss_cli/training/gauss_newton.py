@@ -29,6 +29,7 @@ def gauss_newton(
     iterations: int,
     goes_on: Callable[[float], bool],
     fixed_encoder: bool = False,
+    integrator: bool = False,
 ) -> None:
     """Train the weights in `engine`.
 
@@ -38,6 +39,7 @@ def gauss_newton(
         iterations: at most.
         goes_on: hears the mean square error of each accepted step; whether there is to be another.
         fixed_encoder: leave the encoder as it is.
+        integrator: whether the initial states end with the first outputs, which are then free as well.
     """
     weights = engine.weights()
     vector = np.concatenate([array.ravel() for array in weights.values()]).astype(np.float64)
@@ -50,7 +52,10 @@ def gauss_newton(
             at = bias + len(array)
             layers.append((vector[bias - array.size : bias].reshape(array.shape), vector[bias:at]))
     E, e0 = encoder_map(layers, y[0].shape[1])[-1]
-    x0 = np.array([window[0] for window in y]) @ E.T + e0
+    first = np.array([window[0] for window in y])
+    x0 = first @ E.T + e0
+    if integrator:
+        x0 = np.concatenate([x0, first], axis=1)
 
     errors = sum(window.size for window in y)
     every = max(1, errors // (ERRORS_A_PARAMETER * (p + x0.size)))

@@ -41,7 +41,7 @@ class Block:
     window: int
     """Number of the window."""
     x: FloatArray
-    """States (k, n)."""
+    """States (k, n), without those of an integrator."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,9 @@ from nnss_cli.model.architecture import Architecture
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
-STARTS = ("random", "linear", "feedback")
-FEEDTHROUGHS = ("auto", "yes", "no")
+STARTS = ("auto", "random", "linear", "feedback")
+CHOICES = ("auto", "yes", "no")
+LONGEST = 60  # samples of a window of the cold alternative
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,13 @@ class Recipe:
     encoder: tuple[int, ...] = (16, 16)
     """Widths of the encoder's linear layers before its output."""
     scheduling: str = "x"
-    """What the generator sees: x, x+u, x+y or x+u+y."""
+    """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
     stability: str = "schur"
     """schur (A(ρ) Schur), contraction (a common Lyapunov function) or none."""
     feedthrough: str = "no"
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
+    integrator: str = "no"
+    """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
     gamma: float = 1.0
     """Bound on the spectral radius of A(ρ), or on its norm (contraction)."""
     epsilon: float = EPSILON
@@ -65,11 +68,15 @@ class Recipe:
     refine: int = 0
     """Gauss–Newton iterations from the best epoch of Adam, at most, and at most `epochs`."""
     initial: str = "random"
-    """Start: random weights, the linear model that SSEST finds, or that with feedback through saturations."""
+    """Start: random weights, the linear model that SSEST finds, or that with feedback through saturations (feedback).
+    auto for feedback, or a deep cold model that validates better where weights outnumber measured outputs."""
     fixed_encoder: bool = False
     """Leave the encoder as it starts."""
     engine: str = "fast"
     """fast (compiled) or reference (plain torch)."""
+    budget: float = 0.0
+    """Seconds after which no further candidate and no further epoch begins; 0 for no bound. Results then depend on the
+    machine."""
 
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:
@@ -80,8 +87,16 @@ class Recipe:
             raise unknown("unit of patience", self.patience_unit, PATIENCE_UNITS)
         if self.initial not in STARTS:
             raise unknown("start", self.initial, STARTS)
-        if self.feedthrough not in FEEDTHROUGHS:
-            raise unknown("feedthrough", self.feedthrough, FEEDTHROUGHS)
+        for name in ("feedthrough", "integrator"):
+            if getattr(self, name) not in CHOICES:
+                raise unknown(name, getattr(self, name), CHOICES)
+        if self.integrator == "yes" and not self.integrates:
+            raise InputError(
+                f"integrator: the fast engine trains one by gauss-newton alone, found optimiser {self.optimiser}"
+                f"{' and refine' * (self.refine > 0)}: take gauss-newton, or --engine reference"
+            )
+        if not self.budget >= 0:
+            raise InputError(f"budget: expected seconds, or 0 for no bound, found {self.budget}")
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")
@@ -97,22 +112,52 @@ class Recipe:
                 f"expected a positive learning rate and lambda ≥ 0, found {self.learning_rate} and {self.consistency}"
             )
 
+    @property
+    def integrates(self) -> bool:
+        """Whether this optimiser and engine can train an integrator."""
+        return self.engine == "reference" or (self.optimiser == "gauss-newton" and self.refine == 0)
+
     def architecture(self, order: int, inputs: int, outputs: int) -> Architecture:
-        """The model that this recipe trains; under feedthrough auto, the one without.
+        """The model that this recipe trains; the simplest where something is auto.
+
+        Args:
+            order: number of all states n; an integrator has m of them.
+            inputs: r.
+            outputs: m.
 
         Raises:
-            InputError: a width, gamma, epsilon, scheduling or dtype is out of range.
+            InputError: a width, gamma, epsilon, scheduling or dtype is out of range, or no state is left.
         """
+        integrator = self.integrator == "yes"
+        if integrator and order <= outputs:
+            raise InputError(
+                f"integrator: {outputs} of the states integrate, so expected an order above, found {order}"
+            )
         return Architecture(
-            order, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
-            self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability, self.feedthrough == "yes",
+            order - outputs * integrator, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
+            "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
+            self.feedthrough == "yes", integrator,
         )  # fmt: skip
 
-    def candidates(self) -> tuple[Recipe, ...]:
-        """The recipes among which validation chooses, the simplest first: itself, or with and without feedthrough."""
-        if self.feedthrough != "auto":
-            return (self,)
-        return tuple(dataclasses.replace(self, feedthrough=each) for each in ("no", "yes"))
+    def simplest(self) -> Recipe:
+        """The first candidate: where something is auto, the paper's structure, and the feedback start."""
+        plain = {"feedthrough": "no", "integrator": "no", "scheduling": "x", "initial": "feedback"}
+        return self.replace(**{name: value for name, value in plain.items() if getattr(self, name) == "auto"})
+
+    def alternatives(self, shortest: int) -> dict[str, dict[str, Any]]:
+        """What may be changed in the first candidate, one after the other, where something is auto: name → changes.
+
+        Args:
+            shortest: samples of the shortest training experiment.
+        """
+        window = max(SHORTEST, min(LONGEST, 3 * shortest // 5))
+        found: dict[str, dict[str, Any]] = {
+            "feedthrough": {"feedthrough": "yes"},
+            "integrator": {"integrator": "yes"},
+            "scheduling": {"scheduling": "x+u"},
+            "initial": {**_COLD, "window": window},
+        }
+        return {name: changes for name, changes in found.items() if getattr(self, name) == "auto"}
 
     def replace(self, **changes: Any) -> Recipe:
         """The recipe with what is not None in `changes`."""
@@ -123,11 +168,20 @@ class Recipe:
 # reproduces; with 400 epochs most train far longer and end well below (docs/recipes.md).
 _PAPER = Recipe(patience_unit="steps")
 
+# For records with fewer measured outputs than weights: depth and consistency act as a prior, and a warm start overfits.
+_COLD = {
+    "hidden": (120,) * 6, "encoder": (64,) * 4, "dtype": "float32", "stride": 10, "batch": 5, "initial": "random",
+    "optimiser": "adam", "epochs": 1000, "patience": 400, "consistency": 0.3,
+}  # fmt: skip
+COLD = frozenset(_COLD) - {"initial"} | {"window"}
+"""Fields that the cold alternative fixes: where one of them is asked for, it is not tried."""
+
 # Found on validation (docs/recipes.md). Simulations of whole records, exact second-order steps
 # from a good linear model, and so few weights that a full Jacobian is cheap: seconds a run.
 _BEST = Recipe(
-    hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="feedback",
-    optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0, feedthrough="auto", lead=5000,
+    hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="auto",
+    optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0, feedthrough="auto", integrator="auto",
+    lead=5000,
 )  # fmt: skip
 _RECIPES = {"best": _BEST, "paper": _PAPER}
 

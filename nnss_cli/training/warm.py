@@ -20,7 +20,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.encoder import Layers, set_encoder
+from nnss_cli.training.encoder import Layers, encoder_map, regress_encoder, set_encoder
 
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
 
@@ -116,6 +116,43 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
     else:
         W[: a.order, : a.order] = A
     return W.ravel(), V.ravel()
+
+
+def step_size(records: tuple[Record, ...]) -> FloatArray:
+    """Root mean square (m,) of the outputs' differences; 1 for one that never moves."""
+    size = np.sqrt(np.mean(np.concatenate([np.diff(record.y, axis=0) for record in records]) ** 2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+def differences(records: tuple[Record, ...], size: FloatArray) -> tuple[Record, ...]:
+    """What an integrator sums up, v(k) = y(k+1) − y(k), in units of `size` (m,)."""
+    return tuple(Record(record.u[:-1], np.diff(record.y, axis=0) / size, record.Ts) for record in records)
+
+
+def sum_up(model: NNSS, size: FloatArray, train: tuple[Record, ...]) -> None:
+    """From a start for `differences` to one for the outputs: the size of their steps, their drift, the encoder.
+
+    Args:
+        model: with an integrator; changed in place.
+        size: the unit (m,) of the differences.
+        train: experiments in normalised units, outputs as they are.
+    """
+    from nnss_cli.training.fast import Weights
+
+    a, layers = model.architecture, encoder_layers(model)
+    model.step_size.copy_(torch.from_numpy(size))
+    weights, x, missing = Weights(model), [], []
+    for record, difference in zip(train, differences(train, size), strict=True):
+        E, e = encoder_map(layers, a.outputs)[-1]
+        x0 = np.concatenate([E @ difference.y[0] + e, record.y[0]])
+        y, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0[:, None])
+        x.append(states[:, : a.order, 0])
+        missing.append(difference.y - np.diff(y[:, :, 0], axis=0) / size)
+    states, drift = np.concatenate(x).astype(np.float64), np.concatenate(missing).mean(axis=0)
+    if np.isfinite(states).all() and np.isfinite(drift).all():
+        set_encoder(layers, *regress_encoder(np.concatenate([record.y for record in train]), states))
+        with torch.no_grad():
+            model.generator_drift.bias.copy_(torch.from_numpy(drift))
 
 
 class OutputMatrices(Protocol):

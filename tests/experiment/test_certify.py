@@ -251,3 +251,19 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     assert refused.code == 2
     assert columns[0] in refused.err
     assert nnss("certify", "nowhere").code == 2
+
+
+def test_of_an_integrators_model_the_lpv_part_is_promised_and_the_rest_is_not() -> None:
+    plain = random_model(0, "contraction", 0.9, scale=1.0)
+    a = Architecture(3, 1, 1, (8,), (4,), dtype="float64", stability="contraction", gamma=0.9, integrator=True)
+    model = NNSS(a, UNIT, CHANNELS, 1.0)
+    model.load_state_dict(
+        plain.state_dict() | {n: v for n, v in model.state_dict().items() if "drift" in n or "step" in n}
+    )
+    found, known = (certify(each, {"test": (record(),)}, steps=2000) for each in (model, plain))
+    assert found.state_bound == known.state_bound
+    assert not found.broken
+    assert "outputs integrate" in certificate_rows(found)[0]["found"]
+    assert "examined" not in [row[""] for row in certificate_rows(known)]
+    held = model.simulate(np.ones((4000, 1)), np.ones(1)).y  # what no certificate speaks of: the output drifts for ever
+    assert abs(held[-1, 0]) > 1.5 * abs(held[1000, 0]) > 0

@@ -12,7 +12,8 @@ from nnss_cli.datasets.record import Dataset, FittingData, Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
 from nnss_cli.training import fit as module
-from nnss_cli.training.fit import chosen, stages, train_nnss
+from nnss_cli.training import recipe as recipe_module
+from nnss_cli.training.fit import pays, stages, train_nnss, worth_trying
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 RECIPE = Recipe(
@@ -51,7 +52,7 @@ def test_a_feedthrough_is_found_from_data_without_noise(small_data: Callable) ->
     training = train_nnss(data, 2, 0, RECIPE.replace(hidden=(8,), epochs=100))
     assert training.model.architecture.feedthrough
     assert min(training.val_rmse) < 1e-3
-    assert training.candidates["yes"] < 1e-2 < 0.3 < training.candidates["no"]
+    assert training.candidates["feedthrough"] < 1e-2 < 0.3 < training.candidates["as it is"]
     assert training.remarks == ("feedthrough taken: it lowers the validation error by more than 20%",)
 
 
@@ -69,15 +70,15 @@ def test_a_system_without_one_keeps_the_papers_structure(small_data: Callable, m
     tried = train_nnss(data, 2, 0, RECIPE)
     assert not tried.model.architecture.feedthrough
     assert tried.val_rmse == plain.val_rmse  # to the last bit: the other candidate left no trace
-    assert set(tried.candidates) == {"no", "yes"}
+    assert set(tried.candidates) == {"as it is", "feedthrough"}
 
 
 def test_a_candidate_must_pay() -> None:
-    assert chosen([1.0, 0.81]) == 0
-    assert chosen([1.0, 0.79]) == 1
-    assert chosen([np.inf, 2.0]) == 1
-    assert chosen([np.inf, np.inf]) == 0
-    assert chosen([1.0, np.inf]) == 0
+    assert not pays(0.81, 1.0)
+    assert pays(0.79, 1.0)
+    assert pays(2.0, np.inf)
+    assert not pays(np.inf, np.inf)
+    assert not pays(np.inf, 1.0)
 
 
 def test_stages_are_beginnings_four_times_as_long_each_and_end_with_everything() -> None:
@@ -100,8 +101,8 @@ def test_only_the_candidate_taken_goes_on(small_data: Callable) -> None:
     assert epochs == list(range(1, len(epochs) + 1))
     assert 2 * 4 >= len(epochs) - 2 > 4
     errors = training.candidates
-    assert errors["yes"] <= min(training.val_rmse[:4])  # the start counts too
-    assert min(training.val_rmse) <= errors["yes"]
+    assert errors["feedthrough"] <= min(training.val_rmse[:4])  # the start counts too
+    assert min(training.val_rmse) <= errors["feedthrough"]
 
 
 def test_a_later_stage_begins_at_the_best_weights(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,11 +133,11 @@ def test_a_stage_that_diverges_leaves_the_model_of_the_one_before(
     data = fitting(small_data(), without_feedthrough)
     plain = module.gauss_newton
 
-    def breaking(engine, y, iterations, goes_on, fixed) -> None:
+    def breaking(engine, y, iterations, goes_on, *options) -> None:
         if len(y[0]) == 600:
             goes_on(np.nan)
         else:
-            plain(engine, y, iterations, goes_on, fixed)
+            plain(engine, y, iterations, goes_on, *options)
 
     monkeypatch.setattr(module, "gauss_newton", breaking)
     training = train_nnss(data, 2, 0, RECIPE.replace(lead=150, epochs=4, feedthrough="no"))
@@ -190,3 +191,49 @@ def test_a_candidate_that_is_still_behind_after_a_quarter_is_given_up(
         training = train_nnss(data, 2, 0, recipe, lambda epoch, *_, epochs=epochs: epochs.append(epoch))
         assert len(epochs) == 8 + ran
         assert training.model.architecture.feedthrough == (ran == 8)
+
+
+def test_a_cold_model_is_tried_where_weights_outnumber_outputs(small_data: Callable) -> None:
+    data, best = small_data(K=150).fitting, recipe_of("best", {}, 2)  # 50 samples to train
+    weights = best.simplest().architecture(2, 1, 1).weights
+    assert sum(record.y.size for record in data.train) < weights
+    assert "initial" in worth_trying(data, 2, best, data.train)
+    enough = fitting(small_data(), without_feedthrough, K=weights)
+    assert "initial" not in worth_trying(enough, 2, best, enough.train)
+    assert best.alternatives(50)["initial"]["window"] == 30
+    assert best.alternatives(1000)["initial"]["window"] == 60
+    settings = METHODS["nnss"].settings
+    assert settings(data, 2, {})["initial"] == "auto"
+    assert settings(data, 2, {"hidden": (4,)})["initial"] == "feedback"  # what is asked for holds for every candidate
+    assert settings(data, 2, {"hidden": (4,), "initial": "auto"})["initial"] == "auto"
+
+
+def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = small_data(K=150).fitting
+    recipe = RECIPE.replace(initial="auto", feedthrough="no", epochs=2, hidden=(40,))
+    for cold, taken in ((0.79, True), (0.81, False)):
+        monkeypatch.setattr(
+            module, "free_run_rmse", lambda engine, *_, cold=cold: cold if len(engine.weights()) > 10 else 1.0
+        )
+        monkeypatch.setattr(recipe_module, "_COLD", recipe_module._COLD | {"hidden": (9,) * 4, "epochs": 2})
+        training = train_nnss(data, 2, 0, recipe)
+        assert training.model.architecture.hidden == ((9,) * 4 if taken else (40,))
+        assert training.candidates == {"as it is": 1.0, "cold start": cold}
+        assert ("cold start taken: it lowers the validation error by more than 20%" in training.remarks) == taken
+
+
+def test_a_budget_ends_a_fit_and_says_what_it_left_out(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = fitting(small_data(), with_feedthrough)
+    seconds = iter(range(10_000))
+    monkeypatch.setattr(module.time, "monotonic", lambda: float(next(seconds)))
+    recipe = RECIPE.replace(epochs=50, lead=150)
+    short = train_nnss(data, 2, 0, recipe.replace(budget=10.0))
+    assert 8 <= short.epochs <= 11
+    assert "stopped by the budget of 10 s, without feedthrough, stage of 600 samples" in short.remarks
+    assert not any("budget" in remark for remark in train_nnss(data, 2, 0, recipe.replace(budget=1000.0)).remarks)
+    with pytest.raises(
+        InputError, match=r"budget: 0.5 s are too few for one candidate, whose start alone took .* s: give more"
+    ):
+        train_nnss(data, 2, 0, recipe.replace(budget=0.5))  # a second passes between two looks at the clock
+    with pytest.raises(InputError, match="budget: expected seconds, or 0 for no bound, found -1"):
+        recipe.replace(budget=-1.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from nnss_cli.baselines.feedthrough import feedthrough_p_value
+from nnss_cli.baselines.arx import feedthrough_p_value
 from nnss_cli.datasets.record import Record
 
 
