@@ -34,8 +34,11 @@ STUDIES: dict[str, dict[str, Settings]] = {
         "the recipe as it is": {},
         "without feedthrough": {"feedthrough": "no"},
         "with feedthrough": {"feedthrough": "yes"},
+        "without integrator": {"integrator": "no"},
+        "with integrator": {"integrator": "yes"},
         "scheduling x+u": {"scheduling": "x+u"},
         "scheduling x+u, with feedthrough": {"scheduling": "x+u", "feedthrough": "yes"},
+        "no candidates": {"feedthrough": "no", "integrator": "no", "initial": "feedback"},
     },
     "stability": {
         "schur": {"stability": "schur"},

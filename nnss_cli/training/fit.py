@@ -28,7 +28,7 @@ from nnss_cli.training.warm import differences, linear_start, step_size, sum_up,
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
-"""Share of the epochs after which a candidate that is still behind the one before is given up."""
+"""Share of the epochs after which a candidate is given up that is behind the one before, or behind its own start."""
 LEVEL = 0.01
 """Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
 PAYS = 0.2
@@ -234,7 +234,8 @@ class _Attempt:
     ) -> None:
         """Build the model and its start from records of the first stage and of validation, normalised.
 
-        It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it.
+        It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it,
+        or no epoch was better than its start.
         """
         self.recipe, self.seed = recipe, seed
         architecture = recipe.architecture(order, data.input_count, data.output_count)
@@ -427,8 +428,8 @@ class _Watch:
             self.kept, self.best_epoch = self.engine.weights(), epoch
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
-        behind = epoch == self.trial and self.stopping.best > self.rival
-        return not (self.stopping.stop or behind or self.clock.up)
+        hopeless = epoch == self.trial and (self.stopping.best > self.rival or self.best_epoch == 0)
+        return not (self.stopping.stop or hopeless or self.clock.up)
 
 
 def _adam(

@@ -34,7 +34,10 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 
 
 def test_settings_are_those_of_the_runs_on_disk() -> None:
-    """Made by `python tests/methods/test_settings.py`; since e12defe only `feedthrough` and `lead` were added."""
+    """Made by `python tests/methods/test_settings.py`.
+
+    Since e12defe `feedthrough`, `lead`, `integrator` and `budget` were added, and `initial` of best became auto.
+    """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
 

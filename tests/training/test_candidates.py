@@ -178,6 +178,18 @@ def test_ssest_takes_a_feedthrough_that_validates_better(small_data: Callable) -
         assert METHODS["ssest"].settings(replace(data, protocol=protocol), 2, {}) == {"feedthrough": expected}
 
 
+def test_a_start_that_a_quarter_of_the_epochs_did_not_improve_is_kept(
+    small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = fitting(small_data(), without_feedthrough)
+    recipe = RECIPE.replace(epochs=8, feedthrough="no")
+    for second, ran in ((1.1, 2), (0.9, 8)):
+        errors = iter([1.0, 1.2, second, *[1.3] * 6])  # of the start, and of each epoch
+        monkeypatch.setattr(module, "free_run_rmse", lambda *_, errors=errors: next(errors))
+        training = train_nnss(data, 2, 0, recipe)
+        assert (training.epochs, training.best_epoch) == (ran, 2 if ran == 8 else 0)
+
+
 def test_a_candidate_that_is_still_behind_after_a_quarter_is_given_up(
     small_data: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
