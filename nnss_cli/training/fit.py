@@ -29,6 +29,8 @@ FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
 """Share of the epochs after which a candidate is given up that is behind the one before, or behind its own start."""
+FEW = 10
+"""Epochs that say nothing of a start that they did not improve."""
 LEVEL = 0.01
 """Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
 PAYS = 0.2
@@ -428,8 +430,9 @@ class _Watch:
             self.kept, self.best_epoch = self.engine.weights(), epoch
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
-        hopeless = epoch == self.trial and (self.stopping.best > self.rival or self.best_epoch == 0)
-        return not (self.stopping.stop or hopeless or self.clock.up)
+        behind = epoch == self.trial and self.stopping.best > self.rival
+        hopeless = epoch == self.trial >= FEW and self.best_epoch == 0
+        return not (self.stopping.stop or behind or hopeless or self.clock.up)
 
 
 def _adam(

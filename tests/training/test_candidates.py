@@ -182,12 +182,12 @@ def test_a_start_that_a_quarter_of_the_epochs_did_not_improve_is_kept(
     small_data: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = fitting(small_data(), without_feedthrough)
-    recipe = RECIPE.replace(epochs=8, feedthrough="no")
-    for second, ran in ((1.1, 2), (0.9, 8)):
-        errors = iter([1.0, 1.2, second, *[1.3] * 6])  # of the start, and of each epoch
+    for epochs, second, ran, best in ((40, 1.1, 10, 0), (40, 0.9, 12, 2), (20, 1.1, 12, 0)):
+        errors = iter([1.0, 1.2, second, *[1.3] * 9, np.nan])  # of the start, and of each epoch
         monkeypatch.setattr(module, "free_run_rmse", lambda *_, errors=errors: next(errors))
-        training = train_nnss(data, 2, 0, recipe)
-        assert (training.epochs, training.best_epoch) == (ran, 2 if ran == 8 else 0)
+        training = train_nnss(data, 2, 0, RECIPE.replace(epochs=epochs, feedthrough="no"))
+        assert len(training.val_rmse) == ran
+        assert training.best_epoch == best
 
 
 def test_a_candidate_that_is_still_behind_after_a_quarter_is_given_up(
