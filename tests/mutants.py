@@ -33,7 +33,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from mutants_pytest import Judging, Mapping, run_tests
+from mutants_pytest import Judging, Tracing, run_tests
 from real_files import folder_of_files
 
 ROOT = Path(__file__).parents[1]
@@ -236,7 +236,7 @@ def mapped(root: Path) -> Map:
     for file in [file for file in hashes if kept.get(file, {}).get("hash") != hashes[file]]:
         print(f"what {file} runs …", flush=True)
         result, log = root / "map.json", root / "log.txt"
-        plugin = Mapping(root, [installed(path) for path, _ in FOLDERS.values()], result)
+        plugin = Tracing(root, [installed(path) for path, _ in FOLDERS.values()], result)
         if run_tests(root, [STRUCTURE if STRUCTURE.startswith(file) else file], plugin, log, 3600, keep_compiled=True):
             raise SystemExit(f"tests fail where nothing is mutated:\n{log.read_text(encoding='utf-8')[-4000:]}")
         kept[file] = {"hash": hashes[file], **json.loads(result.read_text(encoding="utf-8"))}
@@ -308,13 +308,13 @@ def judge(root: Path, mutant: Mutant, ran: Map) -> Verdict:
     result.unlink(missing_ok=True)
     target.write_text(mutant.text, encoding="utf-8")
     try:
-        code = run_tests(root, args, Judging(tests, result), log, limit, keep_compiled=False)
+        code = run_tests(root, args, Judging(tests, result, ran.seconds), log, limit, keep_compiled=False)
     finally:
         shutil.copy2(ROOT / mutant.file, target)
     if code >= 2 and not result.is_file() and mutant.named:
         raise SystemExit(f"{mutant.name}: {mutant.tests[0]} does not run:\n{log.read_text(encoding='utf-8')[-2000:]}")
     killer = result.read_text(encoding="utf-8") if result.is_file() else "the tests cannot be loaded"
-    return Verdict(mutant, {0: "", -1: f"timeout ({limit:.0f} s)"}.get(code, killer), time.monotonic() - began)
+    return Verdict(mutant, {0: "", -1: "timeout"}.get(code, killer), time.monotonic() - began)
 
 
 def share(killed: int, count: int) -> str:

@@ -8,13 +8,13 @@ import signal
 import sys
 import time
 import types
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 
 def run_tests(root: Path, args: Sequence[str], plugin: Any, log: Path, timeout: float, keep_compiled: bool) -> int:
-    """pytest in a fork of this process, in a group of its own that ends with it; −1 after `timeout` seconds."""
+    """pytest in a fork of this process, in a group that ends with it; −1 after `timeout` seconds or an alarm."""
     import pytest
 
     child = os.fork()
@@ -42,7 +42,8 @@ def run_tests(root: Path, args: Sequence[str], plugin: Any, log: Path, timeout: 
         while time.monotonic() < ends:
             done, status = os.waitpid(child, os.WNOHANG)
             if done:
-                return os.waitstatus_to_exitcode(status)
+                code = os.waitstatus_to_exitcode(status)
+                return -1 if code == -signal.SIGALRM else code
             time.sleep(0.02)
         return -1
     finally:
@@ -53,7 +54,7 @@ def run_tests(root: Path, args: Sequence[str], plugin: Any, log: Path, timeout: 
             pass
 
 
-class Mapping:
+class Tracing:
     """pytest plugin: how long each test takes, and which lines it runs."""
 
     def __init__(self, root: Path, mutated: Sequence[str], result: Path) -> None:
@@ -94,11 +95,20 @@ class Mapping:
 
 
 class Judging:
-    """pytest plugin: these tests in this order, and the name of the one that fails."""
+    """pytest plugin: these tests in this order, an alarm for each, and the name of the one that fails."""
 
-    def __init__(self, order: Sequence[str], result: Path) -> None:
+    def __init__(
+        self, order: Sequence[str], result: Path, seconds: Mapping[str, float] = types.MappingProxyType({})
+    ) -> None:
+        """A test that takes ten times its `seconds`, and a minute more, ends everything: it hangs."""
         self.order = {test: position for position, test in enumerate(order)}
-        self.result = result
+        self.result, self.seconds = result, seconds
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 60 + 10 * self.seconds[nodeid] if nodeid in self.seconds else 0)
+
+    def pytest_runtest_logfinish(self) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0)
 
     def pytest_collection_modifyitems(self, config: Any, items: list[Any]) -> None:
         if self.order:

@@ -132,6 +132,11 @@ def train_nnss(
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
     remarks = tuple(f"{name} taken: it lowers the validation error by more than {PAYS:.0%}" for name in won)
+    weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
+    if weights > outputs and taken.recipe.optimiser == "gauss-newton":
+        remarks += (
+            f"{weights} weights for {outputs} measured outputs: take a lower order or --hidden, or more samples",
+        )
     if unfinished or clock.up:
         left = f", without {', '.join(unfinished)}" if unfinished else ""
         remarks += (f"stopped by the budget of {recipe.budget:g} s{left}",)

@@ -41,6 +41,28 @@ def test_settings_are_those_of_the_runs_on_disk() -> None:
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
 
+CHANGED = {
+    "hidden": (4,), "encoder": (3,), "scheduling": "x+u", "stability": "none", "feedthrough": "yes",
+    "integrator": "auto", "gamma": 0.9, "epsilon": 1e-3, "dtype": "float64", "window": 40, "stride": 3, "batch": 7,
+    "learning_rate": 0.01, "consistency": 0.5, "epochs": 7, "patience": 9, "patience_unit": "epochs",
+    "improvement": 0.1, "optimiser": "lbfgs", "lead": 10, "refine": 3, "initial": "linear", "fixed_encoder": True,
+    "budget": 60.0,
+}  # fmt: skip
+
+
+def test_a_recipe_is_the_papers_only_where_every_field_is() -> None:
+    data = load("twotank-sim").fitting
+    method = METHODS["nnss"]
+    papers = method.paper_settings(data.presets, 2)
+    assert method.settings(data, 2, {"recipe": "paper"}) == papers
+    assert method.settings(data, 2, {"recipe": "paper", "engine": "reference"})["recipe"] == "paper"  # the same numbers
+    assert set(CHANGED) | {"engine", "recipe"} == set(papers)  # a new field is to be added here
+    for name, value in CHANGED.items():
+        assert method.settings(data, 2, {"recipe": "paper", name: value})["recipe"] == f"paper, changed: {name}"
+    several = method.settings(data, 2, {"recipe": "paper", "stability": "none", "hidden": (4,)})
+    assert several["recipe"] == "paper, changed: hidden, stability"
+
+
 def test_the_automatic_engine_is_the_recipes() -> None:
     data = load("twotank-sim").fitting
     for name in ("nnss", "nnss-paper"):
