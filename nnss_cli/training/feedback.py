@@ -29,6 +29,7 @@ from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.training import feedback_kernels as kernels
 from nnss_cli.training.encoder import regress_encoder, set_encoder
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
 from nnss_cli.training.warm import LinearStart, encoder_layers, free_matrices, set_generator
@@ -40,6 +41,11 @@ SLOPES = 0.5, 4.0  # of the generator's sigmoids, relative to g
 TARGETS = 1000  # training states at which the generator is regressed, about
 CUT = 1e-4  # relative singular value below which the regression sees nothing
 TOO_LARGE = 1e6  # a normalised state beyond it has diverged
+
+
+def plain(array: FloatArray) -> FloatArray:
+    """As the compiled loops take it."""
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +61,8 @@ class Feedback:
 
     def states(self, u: FloatArray, x0: FloatArray) -> FloatArray:
         """x (K, n) for inputs (K, r)."""
-        x, path = x0, np.empty((len(u), len(x0)))
-        driven = u @ self.B.T
-        for k in range(len(u)):
-            path[k] = x
-            x = self.A @ x + driven[k] + self.F @ np.tanh(self.G @ x)
-            if not np.abs(x).max() < TOO_LARGE:
-                path[k:] = np.inf
-                break
+        path = np.empty((len(u), len(x0)))
+        kernels.simulate(*map(plain, (self.A, u @ self.B.T, self.F, self.G, x0)), TOO_LARGE, path)
         return path
 
     def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
@@ -77,11 +77,17 @@ class Feedback:
     def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
         path = self.states(u, x0)
-        S, J = np.eye(len(x0)), np.empty((len(u), len(self.C), len(x0)))
-        for k, slope in enumerate(1 - np.tanh(path @ self.G.T) ** 2):
-            J[k] = self.C @ S
-            S = (self.A + (self.F * slope) @ self.G) @ S
-        return self.outputs(u, path), J
+        return self.outputs(u, path), self.sensitivities(path, np.empty((len(u), 0)))
+
+    def sensitivities(self, path: FloatArray, z: FloatArray) -> FloatArray:
+        """C ∂x/∂[θ; x(0)] (K, m, n q + n) along states (K, n), for x(k+1) = θ z(k) with θ (n, q) and z (K, q).
+
+        z is empty where only x(0) counts.
+        """
+        J = np.empty((len(path), len(self.C), len(path[0]) * (z.shape[1] + 1)))
+        slopes = 1 - np.tanh(path @ self.G.T) ** 2
+        kernels.sensitivities(*map(plain, (self.A, self.F, self.G, self.C, slopes, z)), z.shape[1], J)
+        return J
 
     def outputs(self, u: FloatArray, x: FloatArray) -> FloatArray:
         """ŷ (K, m) at states x (K, n) under inputs u (K, r)."""
@@ -162,7 +168,7 @@ class Problem:
         """
         model, begin = self.parts(point)
         n, m, inner = self.n, self.m, self.inner
-        rows, theta_size = np.arange(n), n * inner
+        theta_size = n * inner
         errors, derivatives, paths = [], [], []
         for index, record in enumerate(self.records):
             path = model.states(record.u, begin[index])
@@ -174,12 +180,8 @@ class Problem:
             z = np.concatenate([path, record.u, bent], axis=1)
             own = theta_size + m * self.seen + index * n  # where this record's x(0) stands
             J = np.zeros((len(path), m, len(point)))
-            S = np.concatenate([np.zeros((n, theta_size)), np.eye(n)], axis=1)
-            for k in range(len(path)):
-                out = model.C @ S
-                J[k, :, :theta_size], J[k, :, own : own + n] = out[:, :theta_size], out[:, theta_size:]
-                S = (model.A + (model.F * (1 - bent[k] ** 2)) @ self.G) @ S
-                S[:, :theta_size].reshape(n, n, inner)[rows, rows] += z[k]
+            through = model.sensitivities(path, z)
+            J[:, :, :theta_size], J[:, :, own : own + n] = through[:, :, :theta_size], through[:, :, theta_size:]
             for output in range(m):
                 at = theta_size + output * self.seen
                 J[:, output, at : at + self.seen] = z[:, : self.seen]
