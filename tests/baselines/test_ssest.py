@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from nnss_cli.baselines import ssest as module
-from nnss_cli.baselines.n4sid import n4sid
+from nnss_cli.baselines.n4sid import n4sid, n4sid_candidates
 from nnss_cli.baselines.ssest import criterion_value, refine, ssest
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.catalog import BENCHMARKS, load
@@ -85,6 +85,23 @@ def test_the_scored_initial_state_is_the_fitted_one(system: Callable, criterion:
         values.append(criterion_value(model, train, criterion))
     np.testing.assert_allclose(values, values[0], rtol=1e-4)
     assert values[0] <= criterion_value(start, train, criterion)
+
+
+@pytest.mark.parametrize(("m", "criterion"), [(1, "trace"), (2, "det")])
+def test_a_long_record_ends_where_a_short_one_would(
+    system: Callable, monkeypatch: pytest.MonkeyPatch, m: int, criterion: module.Criterion
+) -> None:
+    plant = LinearStateSpace(*system(3, 1, m, seed=6), 1.0)
+    train, val = records_of(plant, 3, 0.2, K=1200), records_of(plant, 4, 0.2, K=300)
+    starts = [n4sid(train, 3), *(model for _, model in n4sid_candidates(train, 3)[:4])]
+    assert module.led(starts, train, criterion, False) is starts
+    at_once = ssest(train, val, 3)
+    monkeypatch.setattr(module, "LEAD", 300)
+    found = module.led(starts, train, criterion, False)
+    assert 1 <= len(found) <= 2 < len(starts)
+    led = ssest(train, val, 3)
+    for split in (train, val):
+        assert simulation_rms(led, split) == pytest.approx(simulation_rms(at_once, split), rel=module.TOLERANCE)
 
 
 def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:
