@@ -40,8 +40,9 @@ def command(
     input or nowhere to write, 130 interrupted.
     """
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows
+    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows, tell_left_out
     from nnss_cli.errors import InputError
+    from nnss_cli.experiment.agreement import agreeing
     from nnss_cli.experiment.estimate import DAY, duration, estimate
     from nnss_cli.experiment.processes import Limits
     from nnss_cli.experiment.store import Store
@@ -73,7 +74,7 @@ def command(
     if again:
         statuses = ", ".join(dict.fromkeys(again))
         console.print(f"Note: {len(again)} of the finished runs: {statuses}; --retry-failed tries them again")
-    expected = estimate(todo.todo, store.results(), workers)
+    expected = estimate(todo.todo, todo.found.results, workers)
     if todo.todo:
         more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
         console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
@@ -97,19 +98,24 @@ def command(
     left = len(todo.todo) - progress.finished
     if left:
         console.print(f"Stopped at the first run without a result (--fail-fast): {left} are left", highlight=False)
-    files = write_comparison(store)
+    table = agreeing(store, store.read(todo.found) if todo.todo else todo.found)
+    left_out = [*todo.faults.values(), *table.left_out]
+    tell_left_out(left_out)
     labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
-    asked = [result for result in store.results() if result.spec.label in labels]
+    asked = [result for result in table.results if result.spec.label in labels]
+    if not asked:
+        raise typer.Exit(1)
+    files = write_comparison(store, table=table)
     print_rows(terminal_rows(asked), terminal_title(asked))
     combinations = terminal_rows(asked, apart=True)
     if combinations:
         print_rows(combinations, "Made of runs of this folder, so no independent competitor")
-    others = len(store.results()) - len(asked)
+    others = len(table.results) - len(asked)
     if others:
         console.print(f"{others} other runs in this folder are in its files, not in this table.", highlight=False)
     for line in [*(f"Note: {note}" for note in data.notes), *failures(asked), *remarks(asked)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
-    if any(result.status != "ok" for result in asked):
+    if left_out or any(result.status != "ok" for result in asked):
         raise typer.Exit(1)

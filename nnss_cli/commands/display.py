@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+import typer
 from rich import box
 from rich.console import Console
 from rich.progress import (
@@ -108,6 +109,12 @@ def plan_rows(expected: Estimate) -> list[dict[str, str]]:
         }
         for group in expected.groups
     ]  # fmt: skip
+
+
+def tell_left_out(lines: Iterable[str]) -> None:
+    """Name on stderr what is damaged or disagrees, and so in no table."""
+    for line in dict.fromkeys(lines):
+        typer.echo(f"nnss: left out: {line}", err=True)
 
 
 def describe(spec: RunSpec) -> str:

@@ -19,11 +19,20 @@ def command(
         ),
     ] = True,
 ) -> None:
-    """Rebuild every table and figure from the runs on disk, without training, and write report.md."""
-    from nnss_cli.commands.display import console
+    """Rebuild every table and figure from the runs on disk, without training, and write report.md.
+
+    A run whose files are damaged or disagree is named and left out: exit code 1.
+    """
+    from nnss_cli.commands.display import console, tell_left_out
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_report
 
     if out.is_dir():
         require_writable(out)
-    console.print(str(write_report(out, times)), soft_wrap=True, highlight=False)
+    left_out: list[str] = []
+    try:
+        console.print(str(write_report(out, times, left_out.append)), soft_wrap=True, highlight=False)
+    finally:
+        tell_left_out(left_out)
+    if left_out:
+        raise typer.Exit(1)

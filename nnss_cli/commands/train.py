@@ -28,7 +28,7 @@ def command(
 ) -> None:
     """Train one model, keep it under results/ and print its errors. Exit code 1 when it has no result."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, print_rows
+    from nnss_cli.commands.display import RunProgress, console, print_rows, tell_left_out
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import plan, sweep
     from nnss_cli.files import require_writable
@@ -44,9 +44,13 @@ def command(
     with RunProgress(todo.todo) as progress:
         sweep(todo.todo, data, store, 1, progress.on_event, progress.on_result)
     kept_seed = seed if methods[0].seeded else 0
-    result = next(
-        r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
-    )
+    asked = [
+        r for r in store.read().results if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
+    ]
+    tell_left_out(todo.faults.values())
+    if not asked:
+        raise typer.Exit(1)
+    (result,) = asked
     if result.status != "ok":
         typer.echo(f"nnss: {result.spec.label} {result.status}: {result.reason}", err=True)
         raise typer.Exit(1)

@@ -7,26 +7,36 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 from nnss_cli.datasets.record import Record
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_index
 from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
 from nnss_cli.files import remove_leftovers, write_text
 from nnss_cli.modelfile import Tensors, read_tensors, write_tensors
-from nnss_cli.version import __version__
 
 LOCKS = ".locks"  # beside the runs: their own folders come and go
+SIGNALS = "signals.safetensors"
 
-Stamp: TypeAlias = tuple[int, int] | None
-"""Which file a run.json is: its inode and time of change; None where there is none."""
+
+@dataclass(frozen=True)
+class Found:
+    """What there is of a folder's runs."""
+
+    results: list[RunResult]
+    """Finished runs that are sound, in a fixed order, without the histories of their fits."""
+    faults: dict[str, str]
+    """Runs whose files are damaged or disagree, by label: a line each that names the file."""
+    lines: dict[str, Line] = field(repr=False)
+    """What is known of each sound run's files, by label."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +60,44 @@ class Store:
         return self.folder / "runs" / spec.label
 
     def results(self) -> list[RunResult]:
-        """All finished runs, in a fixed order.
+        """All finished runs, whole, in a fixed order.
 
         Raises:
             InputError: a run's file is damaged.
         """
         read = (_read(path) for path in (self.folder / "runs").glob("*/run.json"))
-        found = [result for result in read if result is not None]
-        return sorted(found, key=lambda r: (r.spec.method, r.spec.order, r.spec.seed))
+        return _sorted([result for result in read if result is not None])
+
+    def read(self, before: Found | None = None) -> Found:
+        """All finished runs, from the index where their files are those that it tells of.
+
+        What is not is read, checked against its folder and its signals, and told in the index, which is written anew.
+
+        Args:
+            before: what was found earlier by this process, instead of the index.
+        """
+        runs = self.folder / "runs"
+        known = read_index(runs) if before is None else before.lines
+        lines: dict[str, Line] = {}
+        faults: dict[str, str] = {}
+        for folder in _folders(runs):
+            run, signals = stamp(folder / "run.json"), stamp(folder / SIGNALS)
+            line = known.get(folder.name)
+            if run is None:
+                continue
+            if line is None or (line.run, line.signals) != (run, signals):
+                line = None
+            try:
+                # a folder may have been moved with its index in it
+                line = (line and Line(run, signals, _in_place(line.result, folder))) or _line(folder, run, signals)
+            except InputError as error:
+                faults[folder.name] = str(error)
+            else:
+                if line is not None:
+                    lines[folder.name] = line
+        if lines != known:
+            write_index(runs, lines)
+        return Found(_sorted([line.result for line in lines.values()]), faults, lines)
 
     def find(self, spec: RunSpec) -> RunResult | None:
         """The finished run in this one's folder.
@@ -69,11 +109,7 @@ class Store:
 
     def stamp(self, spec: RunSpec) -> Stamp:
         """Which finished run is there: it differs as soon as another one is."""
-        try:
-            found = (self.run_folder(spec) / "run.json").stat()
-        except FileNotFoundError:
-            return None
-        return found.st_ino, found.st_mtime_ns
+        return stamp(self.run_folder(spec) / "run.json")
 
     @contextlib.contextmanager
     def lock(self, spec: RunSpec) -> Iterator[bool]:
@@ -113,10 +149,9 @@ class Store:
         """
         runs = self.folder / "runs"
         with self.writing():
-            remove_leftovers(self.folder)
-            for folder in runs.glob("*"):
-                if folder.name.startswith(".") or not folder.is_dir():
-                    continue
+            for folder in (self.folder, runs):
+                remove_leftovers(folder)
+            for folder in _folders(runs):
                 if (folder / "run.json").exists():
                     remove_leftovers(folder)
                     continue
@@ -141,7 +176,7 @@ class Store:
         folder = self.run_folder(result.spec)
         with self.writing():
             if signals:
-                write_tensors(folder / "signals.safetensors", signals)
+                write_tensors(folder / SIGNALS, signals)
             write_text(folder / "run.json", json.dumps(result.to_json(), indent=1, ensure_ascii=False) + "\n")
 
     def signals(self, spec: RunSpec) -> Tensors:
@@ -150,47 +185,12 @@ class Store:
         Raises:
             InputError: they are missing or damaged, or not those of its scores.
         """
-        path = self.run_folder(spec) / "signals.safetensors"
-        signals = read_tensors(path)
+        folder = self.run_folder(spec)
+        signals = read_tensors(folder / SIGNALS)
         result = self.find(spec)
-        try:
-            if result is not None:
-                check_signals(result, signals)
-        except ValueError as error:
-            raise InputError(
-                f"'{path}' disagrees with the run.json beside it ({error}); remove '{path.parent}' and run it again"
-            ) from error
+        if result is not None:
+            _agree(result, signals, folder)
         return signals
-
-    def conflict(self, spec: RunSpec, results: list[RunResult]) -> str:
-        """Which finished runs must not be mixed with `spec` in one table, and how they differ ("" if there are none).
-
-        Runs of any method and order must be of the same data; those of the same method and order also of the same
-        versions and options.
-        """
-        for result in results:
-            difference = self._difference(spec, result)
-            if difference:
-                return f"{result.spec.method}, order {result.spec.order}, with {difference}"
-        return ""
-
-    @staticmethod
-    def _difference(spec: RunSpec, result: RunResult) -> str:
-        other = result.spec
-        if other.data != spec.data:
-            return "another version of the data"
-        if (other.method, other.order) != (spec.method, spec.order):
-            return ""
-        made = result.provenance.get("nnss", "unknown")
-        if made != __version__:
-            return f"nnss {made} instead of {__version__}"
-        if other.version != spec.version:
-            return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
-        return ", ".join(
-            f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
-            for name in spec.settings | other.settings
-            if _value(other.settings, name) != _value(spec.settings, name)
-        )
 
 
 def stores(out: Path) -> list[Store]:
@@ -208,7 +208,7 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
     Raises:
         InputError: the run keeps none, or they are damaged.
     """
-    signals = read_tensors(folder / "signals.safetensors")
+    signals = read_tensors(folder / SIGNALS)
     counts = Counter(name.split("/")[0] for name in signals if name.endswith("/y"))
     return {
         split: tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
@@ -216,9 +216,40 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
     }
 
 
-def _value(settings: dict[str, Any], name: str) -> Any:
-    value = settings.get(name)
-    return list(value) if isinstance(value, tuple) else value
+def _folders(runs: Path) -> list[Path]:
+    """The folders of runs, finished or not."""
+    try:
+        with os.scandir(runs) as entries:
+            return [runs / entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
+    except FileNotFoundError:
+        return []
+
+
+def _sorted(results: list[RunResult]) -> list[RunResult]:
+    return sorted(results, key=lambda r: (r.spec.method, r.spec.order, r.spec.seed))
+
+
+def _line(folder: Path, run: Stamp, signals: Stamp) -> Line | None:
+    """What a run's own files say; None where it has gone meanwhile. The stamps are older than what is read.
+
+    Raises:
+        InputError: they are damaged, or disagree.
+    """
+    result = _read(folder / "run.json")
+    if result is None:
+        return None
+    if signals is not None or result.status == "ok":
+        _agree(result, read_tensors(folder / SIGNALS), folder)
+    return Line(run, signals, replace(result, history={}))
+
+
+def _agree(result: RunResult, signals: Tensors, folder: Path) -> None:
+    try:
+        check_signals(result, signals)
+    except ValueError as error:
+        raise InputError(
+            f"'{folder / SIGNALS}' disagrees with the run.json beside it ({error}); remove '{folder}' and run it again"
+        ) from error
 
 
 def _read(path: Path) -> RunResult | None:
@@ -228,14 +259,29 @@ def _read(path: Path) -> RunResult | None:
         InputError: it is damaged.
     """
     try:
-        result = parse_result(path.read_bytes())
-        *_, dataset, protocol, _, label = path.parent.parts
-        check_place(result, dataset, protocol, label)
-        return result
+        return _in_place(parse_result(path.read_bytes()), path.parent)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"'{path}' is not a finished run of this version ({error}); "
-            f"remove the folder '{path.parent}' and run it again"
-        ) from error
+        raise _unfinished(path.parent, error) from error
+
+
+def _in_place(result: RunResult, folder: Path) -> RunResult:
+    """A run that is that of its folder.
+
+    Raises:
+        InputError: it is another one's.
+    """
+    *_, dataset, protocol, _, label = folder.parts
+    try:
+        check_place(result, dataset, protocol, label)
+    except ValueError as error:
+        raise _unfinished(folder, error) from error
+    return result
+
+
+def _unfinished(folder: Path, error: Exception) -> InputError:
+    return InputError(
+        f"'{folder / 'run.json'}' is not a finished run of this version ({error}); "
+        f"remove the folder '{folder}' and run it again"
+    )
