@@ -4,6 +4,7 @@ Both are data: nothing in them is ever executed.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,33 @@ def read_model(folder: Path) -> tuple[dict[str, Any], Tensors]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"'{path}' is not a model's description: {error}; train it again") from error
     return description, read_tensors(folder / "model.safetensors")
+
+
+def require_arrays(tensors: Tensors, expected: Mapping[str, tuple[tuple[int, ...], str]]) -> None:
+    """Refuse arrays that are not those of a model.
+
+    Args:
+        tensors: what was read.
+        expected: shape and type of each array by name; there may be no other.
+
+    Raises:
+        ValueError: one is missing, unknown, of another shape or type, or not finite.
+    """
+    if tensors.keys() != expected.keys():
+        missing, more = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
+        raise ValueError(f"arrays: missing {', '.join(missing) or 'none'}, unknown {', '.join(more)[:80] or 'none'}")
+    for name, (shape, kind) in expected.items():
+        array = tensors[name]
+        if array.shape != shape or array.dtype != kind:
+            raise ValueError(f"{name}: expected {kind} {shape}, found {array.dtype} {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite numbers")
+
+
+def scaling_arrays(inputs: int, outputs: int) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shapes and types of the arrays of a `Scaling`, for `require_arrays`."""
+    sizes = {"u_mean": inputs, "u_std": inputs, "y_mean": outputs, "y_std": outputs}
+    return {name: ((size,), "float64") for name, size in sizes.items()}
 
 
 def write_tensors(path: Path, tensors: Tensors) -> None:

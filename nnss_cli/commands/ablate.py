@@ -35,7 +35,7 @@ def command(
 ) -> None:
     """Change one switch of NN-SS at a time: λ, start, windows, encoder, scheduling; or what makes it stable."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.display import console, print_rows, tell_left_out
     from nnss_cli.experiment.ablation import ablate
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
@@ -54,3 +54,7 @@ def command(
     )  # fmt: skip
     print_rows(study_rows(found), f"{data.name}, protocol {data.protocol}: {study}, RMSE, median over seeds")
     console.print(str(write_study(store, study, found)), soft_wrap=True, highlight=False)
+    left_out = [line for variant in found for line in variant.left_out]
+    tell_left_out(left_out)
+    if left_out:
+        raise typer.Exit(1)

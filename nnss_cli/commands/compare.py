@@ -98,9 +98,8 @@ def command(
     left = len(todo.todo) - progress.finished
     if left:
         console.print(f"Stopped at the first run without a result (--fail-fast): {left} are left", highlight=False)
-    table = agreeing(store, store.read(todo.found) if todo.todo else todo.found)
-    left_out = [*todo.faults.values(), *table.left_out]
-    tell_left_out(left_out)
+    table = agreeing(store, store.read(todo.found) if todo.todo else todo.found, todo.faults)
+    tell_left_out(table.left_out)
     labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
     asked = [result for result in table.results if result.spec.label in labels]
     if not asked:
@@ -117,5 +116,5 @@ def command(
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
-    if left_out or any(result.status != "ok" for result in asked):
+    if table.left_out or any(result.status != "ok" for result in asked):
         raise typer.Exit(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,24 +50,31 @@ def conflict(spec: RunSpec, results: Iterable[RunResult]) -> str:
     return ""
 
 
-def agreeing(store: Store, found: Found) -> Table:
+def agreeing(store: Store, found: Found, apart: Mapping[str, str] | None = None) -> Table:
     """What of a folder makes one table.
 
     Runs of other data than most are left out, then, in each method and order, those of another version of the method or
     with other options than most. Of groups of one size the one that was finished last stays. Other versions
     of nnss and its libraries are no reason: a table says which made it.
+
+    Args:
+        store: where the runs are.
+        found: what there is of them.
+        apart: runs that do not go with what was asked for, by label, and why.
     """
-    kept, apart = _largest(found.results, lambda result: result.spec.data)
-    lines = _lines(store, apart, "another version of the data than most runs there")
+    faults = found.faults | dict(apart or {})
+    results = [result for result in found.results if result.spec.label not in faults]
+    kept, others = _largest(results, lambda result: result.spec.data)
+    lines = _lines(store, others, "another version of the data than most runs there")
     groups: dict[tuple[str, int], list[RunResult]] = {}
     for result in kept:
         groups.setdefault((result.spec.method, result.spec.order), []).append(result)
     together: list[RunResult] = []
     for group in groups.values():
-        kept, apart = _largest(group, lambda result: (result.spec.version, _text(result.spec.settings)))
+        kept, others = _largest(group, lambda result: (result.spec.version, _text(result.spec.settings)))
         together += kept
-        lines += _lines(store, apart, "another version or other options than most runs of it there")
-    return Table(together, [*found.faults.values(), *lines])
+        lines += _lines(store, others, "another version or other options than most runs of it there")
+    return Table(together, [*faults.values(), *lines])
 
 
 def _largest(
@@ -84,9 +91,9 @@ def _largest(
     return largest, [result for result in results if id(result) not in chosen]
 
 
-def _lines(store: Store, apart: Sequence[RunResult], why: str) -> list[str]:
+def _lines(store: Store, others: Sequence[RunResult], why: str) -> list[str]:
     seeds: dict[tuple[str, int], list[str]] = {}
-    for result in apart:
+    for result in others:
         seeds.setdefault((result.spec.method, result.spec.order), []).append(str(result.spec.seed))
     return [
         f"'{store.folder}': {method}, order {order}, seed {', '.join(own)}: {why}; remove them with 'nnss results rm', "

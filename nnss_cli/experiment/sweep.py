@@ -175,7 +175,8 @@ def plan(
             )
     if force and not dry:
         _discard_replaced(store, todo, existing)
-    return Plan(todo, done, faults, found)
+    replaced_labels = {spec.label for spec in todo}
+    return Plan(todo, done, {label: line for label, line in faults.items() if label not in replaced_labels}, found)
 
 
 def _discard_replaced(store: Store, todo: list[RunSpec], existing: list[RunResult]) -> None:
