@@ -12,7 +12,7 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, train, tune
+from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, results, train, tune
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
@@ -41,6 +41,9 @@ for _name, _module, _example in (
     ("methods", methods, "nnss methods --plugin my_method.py"),
 ):
     app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(with_plugins(_module.command))
+
+
+app.add_typer(results.app, name="results")
 
 
 def _show_version(asked: bool) -> None:

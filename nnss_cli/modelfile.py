@@ -79,10 +79,22 @@ def read_tensors(path: Path) -> Tensors:
     Raises:
         InputError: missing or damaged.
     """
+    try:
+        return parse_tensors(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{path}' cannot be read: {error}; run it again with --force") from error
+
+
+def parse_tensors(content: bytes) -> Tensors:
+    """Named arrays from the content of a safetensors file.
+
+    Raises:
+        ValueError: it is damaged.
+    """
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
     try:
-        return dict(load(path.read_bytes()))
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"'{path}' cannot be read: {error}; run it again with --force") from error
+        return dict(load(content))
+    except SafetensorError as error:
+        raise ValueError(str(error)) from error

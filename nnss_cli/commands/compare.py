@@ -11,6 +11,7 @@ from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
 
+@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -41,6 +42,7 @@ def command(
     """
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.agreement import agreeing
     from nnss_cli.experiment.estimate import DAY, duration, estimate
@@ -78,6 +80,10 @@ def command(
     if todo.todo:
         more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
         console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
+    emit(
+        "plan", dataset=data.name, protocol=data.protocol, runs=len(todo.todo), done=len(todo.done),
+        expected_seconds=expected.seconds, unknown=expected.unknown, left_out=list(todo.faults.values()),
+    )  # fmt: skip
     if dry_run:
         if todo.todo:
             print_rows(plan_rows(expected), "To do, if nothing stops early")
@@ -103,6 +109,7 @@ def command(
     labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
     asked = [result for result in table.results if result.spec.label in labels]
     if not asked:
+        emit("end", files=[], left_out=table.left_out)
         raise typer.Exit(1)
     files = write_comparison(store, table=table)
     print_rows(terminal_rows(asked), terminal_title(asked))
@@ -116,5 +123,6 @@ def command(
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
+    emit("end", files=[str(path) for path in files], left_out=table.left_out)
     if table.left_out or any(result.status != "ok" for result in asked):
         raise typer.Exit(1)

@@ -19,6 +19,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from nnss_cli.commands.events import emit
 from nnss_cli.experiment.estimate import Estimate
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
@@ -69,6 +70,10 @@ class RunProgress:
     def on_event(self, event: Event) -> None:
         """Show a run's epoch."""
         label = event.spec.label
+        if event.epoch:
+            emit("epoch", run=name_of(event.spec), epoch=event.epoch, val_rmse=event.val_rmse)
+        else:
+            emit("start", run=name_of(event.spec))
         if label not in self.tasks:
             self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=_work(event.spec), state="")
         if event.epoch:
@@ -84,6 +89,11 @@ class RunProgress:
     def on_result(self, result: RunResult) -> None:
         """Count a finished run."""
         self.finished += 1
+        emit(
+            "result", run=name_of(result.spec), status=result.status, reason=result.reason,
+            fit_seconds=result.fit_seconds, scores=[vars(score) for score in result.scores],
+            finished=self.finished, of=self.total,
+        )  # fmt: skip
         task = self.tasks.pop(result.spec.label, None)
         if task is not None:
             self.progress.remove_task(task)
@@ -120,6 +130,11 @@ def tell_left_out(lines: Iterable[str]) -> None:
 def describe(spec: RunSpec) -> str:
     """A run in words."""
     return f"{spec.dataset} {spec.method} n={spec.order} seed {spec.seed}"
+
+
+def name_of(spec: RunSpec) -> str:
+    """A run's name, as `nnss results` takes it."""
+    return f"{spec.dataset}/{spec.protocol}/{spec.label}"
 
 
 def _work(spec: RunSpec) -> int:

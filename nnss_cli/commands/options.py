@@ -117,6 +117,10 @@ RetryFailed = Annotated[
 FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first run without a result.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
+Quiet = Annotated[bool | None, typer.Option("--quiet", help="Print nothing but errors.")]
+AsJson = Annotated[
+    bool | None, typer.Option("--json", help="Print events for machines: one JSON object a line (docs/reliability.md).")
+]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 
 MAX_JOBS = 1024
@@ -219,6 +223,18 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
         command(**given)
 
     return _with_parameters(command, wrapper, {"plugin": PluginFiles})
+
+
+def with_output(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --quiet and --json."""
+
+    def wrapper(quiet: bool | None = None, as_json: bool | None = None, **given: Any) -> None:
+        from nnss_cli.commands.events import output
+
+        with output(bool(quiet), bool(as_json)):
+            command(**given)
+
+    return _with_parameters(command, wrapper, {"quiet": Quiet, "as_json": AsJson})
 
 
 def _with_parameters(

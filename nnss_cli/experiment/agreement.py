@@ -34,11 +34,7 @@ def difference(spec: RunSpec, result: RunResult) -> str:
         return f"nnss {made} instead of {__version__}"
     if other.version != spec.version:
         return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
-    return ", ".join(
-        f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
-        for name in spec.settings | other.settings
-        if _value(other.settings, name) != _value(spec.settings, name)
-    )
+    return _differing(other, spec)
 
 
 def conflict(spec: RunSpec, results: Iterable[RunResult]) -> str:
@@ -47,6 +43,20 @@ def conflict(spec: RunSpec, results: Iterable[RunResult]) -> str:
         found = difference(spec, result)
         if found:
             return f"{result.spec.method}, order {result.spec.order}, with {found}"
+    return ""
+
+
+def unlike(spec: RunSpec, results: Iterable[RunResult]) -> str:
+    """How runs differ from `spec` such that no table may hold both, whoever made them ("" where they do not)."""
+    for result in results:
+        other = result.spec
+        if other.data != spec.data:
+            return "another version of the data"
+        if (other.method, other.order) == (spec.method, spec.order):
+            if other.version != spec.version:
+                return f"version {other.version or 'unknown'} of {spec.method} instead of {spec.version or 'unknown'}"
+            if _text(other.settings) != _text(spec.settings):
+                return f"other options of {spec.method}: {_differing(other, spec)}"
     return ""
 
 
@@ -100,6 +110,14 @@ def _lines(store: Store, others: Sequence[RunResult], why: str) -> list[str]:
         "or run them again with --force"
         for (method, order), own in seeds.items()
     ]
+
+
+def _differing(other: RunSpec, spec: RunSpec) -> str:
+    return ", ".join(
+        f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
+        for name in spec.settings | other.settings
+        if _value(other.settings, name) != _value(spec.settings, name)
+    )
 
 
 def _text(settings: dict[str, Any]) -> str:

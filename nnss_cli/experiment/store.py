@@ -10,7 +10,8 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,8 +21,8 @@ from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_inde
 from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
-from nnss_cli.files import remove_leftovers, write_text
-from nnss_cli.modelfile import Tensors, read_tensors, write_tensors
+from nnss_cli.files import remove_leftovers, together, write_bytes, write_text
+from nnss_cli.modelfile import Tensors, parse_tensors, read_tensors, write_tensors
 
 LOCKS = ".locks"  # beside the runs: their own folders come and go
 SIGNALS = "signals.safetensors"
@@ -111,16 +112,20 @@ class Store:
         """Which finished run is there: it differs as soon as another one is."""
         return stamp(self.run_folder(spec) / "run.json")
 
-    @contextlib.contextmanager
-    def lock(self, spec: RunSpec) -> Iterator[bool]:
+    def lock(self, spec: RunSpec) -> AbstractContextManager[bool]:
         """Hold a run, if nobody does; gives whether it is held now.
 
         Raises:
             InputError: the folder cannot be written.
         """
+        return self.lock_label(spec.label)
+
+    @contextlib.contextmanager
+    def lock_label(self, label: str) -> Iterator[bool]:
+        """Likewise, by the name of its folder."""
         with contextlib.ExitStack() as stack:
             with self.writing():
-                held = stack.enter_context(lock(self._lock_of(spec.label)))
+                held = stack.enter_context(lock(self._lock_of(label)))
             yield held
 
     @contextlib.contextmanager
@@ -167,7 +172,11 @@ class Store:
 
     def clear(self, spec: RunSpec) -> None:
         """Forget a run: its marker goes first, so an interruption leaves it missing, not half there."""
-        folder = self.run_folder(spec)
+        self.clear_label(spec.label)
+
+    def clear_label(self, label: str) -> None:
+        """Likewise, by the name of its folder."""
+        folder = self.folder / "runs" / label
         (folder / "run.json").unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -178,6 +187,32 @@ class Store:
             if signals:
                 write_tensors(folder / SIGNALS, signals)
             write_text(folder / "run.json", json.dumps(result.to_json(), indent=1, ensure_ascii=False) + "\n")
+
+    def adopt(self, files: Mapping[str, bytes]) -> RunResult:
+        """Keep a run that was made elsewhere. Whoever else may write it holds its lock.
+
+        Args:
+            files: what was in its folder, by name.
+
+        Raises:
+            ValueError: it is damaged, disagrees with itself, or is of another dataset or protocol.
+            InputError: it cannot be written.
+        """
+        strange = [name for name in files if Path(name).name != name or name.startswith(".")]
+        if strange or "run.json" not in files:
+            raise ValueError(f"files: expected run.json and others beside it, found {', '.join(files)[:80]}")
+        result = parse_result(files["run.json"])
+        check_place(result, self.dataset, self.protocol, result.spec.label)
+        if Path(result.spec.label).name != result.spec.label:
+            raise ValueError(f"spec: expected a plain name, found {result.spec.label!r:.80}")
+        if SIGNALS in files or result.status == "ok":
+            check_signals(result, parse_tensors(files.get(SIGNALS, b"")))
+        folder = self.run_folder(result.spec)
+        with self.writing(), together():
+            self.clear(result.spec)
+            for name in sorted(files, key=lambda name: name == "run.json"):
+                write_bytes(folder / name, files[name])
+        return result
 
     def signals(self, spec: RunSpec) -> Tensors:
         """Measured and simulated outputs and states of a run: '<split>/<record>/y', '…/y_sim', '…/x', '…/u'.

@@ -1,0 +1,44 @@
+"""What commands tell machines: one JSON object a line on stdout, in the place of what they tell people."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Iterator
+from contextvars import ContextVar
+from typing import Any
+
+import typer
+
+_JSON: ContextVar[bool] = ContextVar("json", default=False)
+
+
+@contextlib.contextmanager
+def output(quiet: bool, as_json: bool) -> Iterator[None]:
+    """Within it commands say nothing to people on stdout where it is to be quiet, or to be JSON."""
+    from nnss_cli.commands.display import console
+
+    before, token = console.quiet, _JSON.set(as_json)
+    console.quiet = quiet or as_json
+    try:
+        yield
+    finally:
+        console.quiet = before
+        _JSON.reset(token)
+
+
+def emit(event: str, **fields: Any) -> None:
+    """Tell of an event, if anybody asked for JSON; numbers that are not finite are null, as JSON has none."""
+    if _JSON.get():
+        typer.echo(json.dumps({"event": event} | {name: _plain(value) for name, value in fields.items()}))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value if isinstance(value, str | int | bool | None) else str(value)
