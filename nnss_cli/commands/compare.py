@@ -29,6 +29,8 @@ def command(
     fail_fast: opt.FailFast = False,
     time_limit: opt.TimeLimit = None,
     memory_limit: opt.MemoryLimit = None,
+    executor: opt.ExecutorName = "local",
+    scheduler: opt.Scheduler = "",
     dry_run: opt.DryRun = False,
     yes: opt.Yes = False,
     changes: dict[str, Any] | None = None,
@@ -56,6 +58,7 @@ def command(
 
     workers = opt.check_counts(seeds, jobs)
     limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
+    opt.check_executor(executor, scheduler, limits != Limits())
     chosen = select(methods or [])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})
     data = ready_data.dataset
@@ -93,7 +96,7 @@ def command(
     require_writable(store.folder)
     with RunProgress(todo.todo) as progress:
         try:
-            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result, limits, fail_fast)
+            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result, limits, fail_fast, scheduler)
         except KeyboardInterrupt:
             progress.progress.stop()
             left = len(todo.todo) - progress.finished

@@ -52,6 +52,8 @@ class Loss:
     """In words."""
     seconds: float
     """For how long it had run."""
+    final: bool = False
+    """Whether it was tried again already."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], N
     with store.lock(spec) as held:
         if not held:
             return None
-        if (kept := _kept_meanwhile(task, store)) is not None:
+        if (kept := kept_meanwhile(task, store)) is not None:
             return kept
         METHODS[spec.method].prepare(spec.settings)
         report(Event(spec))
@@ -151,10 +153,11 @@ def settle(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult 
     with store.lock(task.spec) as held:
         if not held:
             return None
-        return _kept_meanwhile(task, store) or _write_loss(task, loss, dataset, store)
+        return kept_meanwhile(task, store) or _write_loss(task, loss, dataset, store)
 
 
-def _kept_meanwhile(task: Task, store: Store) -> RunResult | None:
+def kept_meanwhile(task: Task, store: Store) -> RunResult | None:
+    """The result that another command has kept since the sweep began; None if there is none, or of other options."""
     if store.stamp(task.spec) == task.stamp:
         return None
     kept = store.find(task.spec)

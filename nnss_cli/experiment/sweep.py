@@ -226,6 +226,7 @@ def sweep(
     on_result: Callable[[RunResult], None],
     limits: Limits = NO_LIMITS,
     fail_fast: bool = False,
+    scheduler: str = "",
 ) -> None:
     """Execute runs; each is on disk when `on_result` hears of it.
 
@@ -241,6 +242,7 @@ def sweep(
         on_result: hears of each result.
         limits: of a run.
         fail_fast: end with the first result that is not ok.
+        scheduler: address of a Dask scheduler whose workers execute the runs, instead of processes here.
 
     Raises:
         KeyboardInterrupt: finished runs stay, the others are missing.
@@ -253,14 +255,20 @@ def sweep(
     combinations = [task for task in tasks if METHODS[task.spec.method].members]
     trained = [task for task in tasks if not METHODS[task.spec.method].members]
     executor: Executor
-    if limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
+    if scheduler:
+        from nnss_cli.experiment.cluster import Dask
+
+        executor = Dask(scheduler, dataset, store, on_event)
+    elif limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
         executor = Serial(dataset, store, on_event)
     else:
         _prepare(specs)
         executor = Processes(min(jobs, len(specs)), dataset, store, limits, on_event)
     try:
-        for part in (trained, combinations):  # these are made of those
-            for result in _results(part, executor, dataset, store):
+        # combinations are made of the others, which a cluster's workers do not have at hand
+        last = Serial(dataset, store, on_event) if scheduler else executor
+        for part, own in ((trained, executor), (combinations, last)):
+            for result in _results(part, own, dataset, store):
                 on_result(result)
                 if fail_fast and result.status != "ok":
                     return
@@ -296,7 +304,7 @@ def _results(tasks: Sequence[Task], executor: Executor, dataset: Dataset, store:
             task, result = outcome.task, outcome.result
             if outcome.loss is not None:
                 tries[task.spec.label] += 1
-                if outcome.loss.status == "crashed" and tries[task.spec.label] < TRIES:
+                if outcome.loss.status == "crashed" and not outcome.loss.final and tries[task.spec.label] < TRIES:
                     ready.appendleft(task)
                     continue
                 result = settle(task, outcome.loss, dataset, store)
