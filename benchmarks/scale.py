@@ -39,6 +39,8 @@ class Cost:
 
     seconds: float
     """Wall time."""
+    processor: float
+    """Time of all its processes on processors: what the wall time would be, but for waiting, on one that is idle."""
     megabytes: float
     """Peak memory of its largest process."""
 
@@ -54,7 +56,7 @@ def cost(*arguments: str) -> Cost:
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         sys.exit(f"nnss {' '.join(arguments)} ended with {os.waitstatus_to_exitcode(status)}: {said}")
-    return Cost(time.perf_counter() - began, usage.ru_maxrss / 1024)
+    return Cost(time.perf_counter() - began, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
 def main() -> None:
@@ -79,11 +81,12 @@ def main() -> None:
         first = compare(given.runs, "many")
         again = compare(given.runs, "many")
         report = cost("report", "--out", str(folder / "many"))
-        each = (first.seconds - again.seconds) * given.jobs / given.runs
+        wall = (first.seconds - again.seconds) * given.jobs / given.runs
+        processor = (first.processor - again.processor) / given.runs
     print(f"{given.runs} runs of a trivial method, {given.jobs} processes")
     for what, one in (("a few runs", few), ("all of them", first), ("called again", again), ("report", report)):
-        print(f"{what:<14}{one.seconds:8.1f} s {one.megabytes:8.0f} MB")
-    print(f"a run beside the table: {1000 * each:.1f} ms a core, its simulation included")
+        print(f"{what:<14}{one.seconds:8.1f} s {one.processor:8.1f} s on processors {one.megabytes:6.0f} MB")
+    print(f"a run, its simulation included: {1000 * wall:.1f} ms a core, {1000 * processor:.1f} of it busy")
 
 
 if __name__ == "__main__":

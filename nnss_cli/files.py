@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import shutil
 import socket
 import tempfile
 import time
@@ -40,8 +41,10 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             _into_place(temporary, path)
         else:
             gathered.append((temporary, path))
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:  # of a library that writes to a stream
+            error.filename = str(path.parent)
         raise
 
 
@@ -122,6 +125,13 @@ def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
+def free_space(folder: Path) -> str:
+    """What is left on its file system, in words; "" where that is not known."""
+    with contextlib.suppress(OSError):
+        return f" ({shutil.disk_usage(folder).free:,} bytes free)"
+    return ""
+
+
 def require_writable(folder: Path) -> None:
     """Fail before any work when results could not be kept at the end of it.
 
@@ -134,5 +144,5 @@ def require_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise InputError(
-            f"cannot write to '{folder}': {error.strerror or error}; name another folder with --out"
+            f"cannot write to '{folder}': {error.strerror or error}{free_space(folder)}; name another folder with --out"
         ) from error

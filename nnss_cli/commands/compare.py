@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
+
+if TYPE_CHECKING:
+    from nnss_cli.experiment.run import RunResult
 
 
 @opt.with_output
@@ -47,7 +50,7 @@ def command(
     from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.agreement import agreeing
-    from nnss_cli.experiment.estimate import DAY, duration, estimate
+    from nnss_cli.experiment.estimate import DAY, Forecast, amount, duration, estimate
     from nnss_cli.experiment.processes import Limits
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import AGAIN, plan, sweep
@@ -81,6 +84,8 @@ def command(
         console.print(f"Note: {len(again)} of the finished runs: {statuses}; --retry-failed tries them again")
     expected = estimate(todo.todo, todo.found.results, workers)
     if todo.todo:
+        if expected.unknown:
+            console.print(f"Planned: {amount(todo.todo)}", soft_wrap=True, highlight=False)
         more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
         console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
     emit(
@@ -94,9 +99,19 @@ def command(
     if expected.seconds > DAY and not yes:
         raise InputError(f"this will take about {duration(expected.seconds)}: --yes starts it all the same")
     require_writable(store.folder)
+    forecast = Forecast(todo.todo, todo.found.results, workers)
+
+    def on_result(result: RunResult) -> None:
+        progress.on_result(result)
+        left = forecast.after(result)
+        if left is not None and left.groups:
+            long = "; Ctrl-C keeps the finished runs" if left.seconds > DAY else ""
+            progress.tell(f"Expected, as the first runs tell: about {duration(left.seconds)} more{long}")
+            emit("forecast", expected_seconds=left.seconds)
+
     with RunProgress(todo.todo) as progress:
         try:
-            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result, limits, fail_fast, scheduler)
+            sweep(todo.todo, data, store, workers, progress.on_event, on_result, limits, fail_fast, scheduler)
         except KeyboardInterrupt:
             progress.progress.stop()
             left = len(todo.todo) - progress.finished

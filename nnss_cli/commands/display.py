@@ -109,6 +109,10 @@ class RunProgress:
         elif result.status != "ok":
             self.progress.console.print(line, markup=False, style="yellow")
 
+    def tell(self, line: str) -> None:
+        """A line beside the bar."""
+        self.progress.console.print(line, soft_wrap=True, highlight=False)
+
 
 def plan_rows(expected: Estimate) -> list[dict[str, str]]:
     """What there is to do, by method and order."""

@@ -21,7 +21,7 @@ from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_inde
 from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
-from nnss_cli.files import remove_leftovers, together, write_bytes, write_text
+from nnss_cli.files import free_space, remove_leftovers, together, write_bytes, write_text
 from nnss_cli.modelfile import Tensors, parse_tensors, read_tensors, write_tensors
 
 LOCKS = ".locks"  # beside the runs: their own folders come and go
@@ -138,12 +138,9 @@ class Store:
         try:
             yield
         except OSError as error:
-            free = ""
-            with contextlib.suppress(OSError):
-                free = f" ({shutil.disk_usage(self.folder).free:,} bytes free)"
             raise InputError(
-                f"cannot write to '{self.folder}': {error.strerror or error}{free}; the finished runs are kept, and "
-                "once it can be written the same command goes on from here"
+                f"cannot write to '{self.folder}': {error.strerror or error}{free_space(self.folder)}; the finished runs "
+                "are kept, and once it can be written the same command goes on from here"
             ) from error
 
     def tidy(self) -> None:

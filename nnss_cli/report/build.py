@@ -74,7 +74,12 @@ def write_comparison(store: Store, times: bool = True, table: Table | None = Non
     results = made_of.results
     if not results:
         raise InputError(f"no sound runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
-    folder = store.folder
+    with store.writing():
+        return _write_files(store, made_of, times)
+
+
+def _write_files(store: Store, made_of: Table, times: bool) -> list[Path]:
+    folder, results = store.folder, made_of.results
     rows = long_table(results)
     if not times:
         rows["fit_seconds"] = None

@@ -50,7 +50,7 @@ def test_a_run_tells_where_it_comes_from(made: tuple[Store, Dataset]) -> None:
     assert found["threads"] == "OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
     assert {"numpy", "scipy", "torch", "pandas", "safetensors", "control"} <= found.keys()
     began, ended = (datetime.fromisoformat(found[name]) for name in ("started", "finished"))
-    assert 0 <= (ended - began).total_seconds() - float(found["seconds"]) < 0.1
+    assert (ended - began).total_seconds() == pytest.approx(float(found["seconds"]), abs=0.1)
     assert 10 < int(found["peak memory [MB]"]) < 10_000
     assert result.spec.data == dataset.fingerprint()
 
