@@ -139,8 +139,8 @@ class Store:
             yield
         except OSError as error:
             raise InputError(
-                f"cannot write to '{self.folder}': {error.strerror or error}{free_space(self.folder)}; the finished runs "
-                "are kept, and once it can be written the same command goes on from here"
+                f"cannot write to '{self.folder}': {error.strerror or error}{free_space(self.folder)}; the finished "
+                "runs are kept, and once it can be written the same command goes on from here"
             ) from error
 
     def tidy(self) -> None:
