@@ -60,6 +60,8 @@ def command(
     from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
 
     workers = opt.check_counts(seeds, jobs)
+    if scheduler:
+        workers = 1  # how many a cluster has is not ours to know: times are those of one
     limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
     opt.check_executor(executor, scheduler, limits != Limits())
     chosen = select(methods or [])
@@ -87,7 +89,11 @@ def command(
         if expected.unknown:
             console.print(f"Planned: {amount(todo.todo)}", soft_wrap=True, highlight=False)
         more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
-        console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
+        console.print(
+            f"Expected: about {duration(expected.seconds)}{' of one worker' * bool(scheduler)}{more}",
+            soft_wrap=True,
+            highlight=False,
+        )
     emit(
         "plan", dataset=data.name, protocol=data.protocol, runs=len(todo.todo), done=len(todo.done),
         expected_seconds=expected.seconds, unknown=expected.unknown, left_out=list(todo.faults.values()),

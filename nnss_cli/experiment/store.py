@@ -69,13 +69,14 @@ class Store:
         read = (_read(path) for path in (self.folder / "runs").glob("*/run.json"))
         return _sorted([result for result in read if result is not None])
 
-    def read(self, before: Found | None = None) -> Found:
+    def read(self, before: Found | None = None, touch: bool = True) -> Found:
         """All finished runs, from the index where their files are those that it tells of.
 
         What is not is read, checked against its folder and its signals, and told in the index, which is written anew.
 
         Args:
             before: what was found earlier by this process, instead of the index.
+            touch: whether the index may be written.
         """
         runs = self.folder / "runs"
         known = read_index(runs) if before is None else before.lines
@@ -96,7 +97,7 @@ class Store:
             else:
                 if line is not None:
                     lines[folder.name] = line
-        if lines != known:
+        if touch and lines != known:
             write_index(runs, lines)
         return Found(_sorted([line.result for line in lines.values()]), faults, lines)
 

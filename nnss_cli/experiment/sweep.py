@@ -114,7 +114,7 @@ def plan(
             other options, data or versions that must not be mixed with these.
     """
     check_count(len(set(orders)) * sum(len(seeds) if method.seeded else 1 for method in methods))
-    found = store.read()
+    found = store.read(touch=not dry)
     existing, faults = found.results, dict(found.faults)
     missing = ("failed", *AGAIN) if retry else ("failed",)
     finished = {r.spec.label: r for r in existing if r.status not in missing}
