@@ -154,7 +154,7 @@ class Dask:
                 raise InputError(f"the scheduler at '{self._address}' dropped {task.spec.label}: {GONE}")
             with self._heard():
                 error = future.exception(timeout=CONNECT) if future.status == "error" else None
-                answer = None if error is not None else future.result(timeout=CONNECT)
+                answer: Any = None if error is not None else future.result(timeout=CONNECT)
             seconds = time.monotonic() - running.since
             if type(error).__name__ == "KilledWorker":
                 reason = f"its worker was lost {error.allowed_failures + 1} times"  # type: ignore[union-attr]

@@ -138,6 +138,20 @@ def test_what_disagrees_is_named_and_left_where_it_is(made: Path, tmp_path: Path
     assert {path: path.read_bytes() for path in out.rglob("run.json")} == before
 
 
+def test_runs_of_other_data_do_not_come_beside_those_that_are_there(made: Path, tmp_path: Path, nnss: Callable) -> None:
+    other, out = (Path(shutil.copytree(made, tmp_path / name)) for name in ("other", "out"))
+    for path in other.rglob("run.json"):
+        content = json.loads(path.read_text())
+        content["spec"]["data"] = "0"
+        path.write_text(json.dumps(content))
+    shutil.rmtree(run_file(out, "n4sid-n1-s0").parent)
+    told = nnss("results", "merge", other, "--out", out)
+    assert told.code == 1
+    assert len(told.err.splitlines()) == 4
+    assert "n4sid-n1-s0': runs there are of another version of the data" in told.err
+    assert names(out) == names(made) - {"n4sid-n1-s0"}
+
+
 COMPARE = ("compare", "twotank-sim", "--methods", "n4sid", "--orders", "1", "2", "--jobs", "1")
 
 

@@ -1,9 +1,12 @@
 """Runs on a Dask cluster: a real scheduler and two worker processes, over TCP on the loopback."""
 
+import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -200,6 +203,56 @@ def test_a_scheduler_that_is_killed_is_a_clear_end(cluster: Cluster, method: Pat
     heard = run(tmp_path / "out", hold="fit", seconds=0.4, marks=str(tmp_path))
     assert 0 < len(heard.results) < 6
     assert kept.items() <= numbers(tmp_path / "out").items()
+
+
+class SlowLine:
+    """Between us and a scheduler: every packet takes its time, until the line is cut."""
+
+    def __init__(self, address: str, seconds: float) -> None:
+        self._to, self._seconds = address.removeprefix("tcp://").split(":"), seconds
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._ends: list[socket.socket] = []
+        self.address = "tcp://{}:{}".format(*self._server.getsockname())
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                far = socket.create_connection((self._to[0], int(self._to[1])))
+                self._ends += [near, far]
+                for one, other in ((near, far), (far, near)):
+                    threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
+
+    def _pass(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while content := one.recv(1 << 20):
+                time.sleep(self._seconds)
+                other.sendall(content)
+
+    def cut(self) -> None:
+        self._server.close()
+        for end in self._ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.slow
+def test_a_slow_network_changes_nothing_and_one_that_is_cut_is_a_clear_end(
+    cluster: Cluster, method: Path, tmp_path: Path
+) -> None:
+    run(tmp_path / "here", seeds=4)
+    slow = SlowLine(cluster.address, 0.1)
+    heard = run(tmp_path / "away", slow.address, seeds=4)
+    assert len(heard.results) == 4
+    assert numbers(tmp_path / "away") == numbers(tmp_path / "here")
+    assert scores(tmp_path / "away") == scores(tmp_path / "here")
+    threading.Timer(4.0, slow.cut).start()
+    began = time.monotonic()
+    with pytest.raises(InputError, match="the finished runs are kept; the same command goes on from here"):
+        run(tmp_path / "cut", slow.address, seeds=40, hold="fit", seconds=1.0, marks=str(tmp_path))
+    assert time.monotonic() - began < 20
+    assert not faults.leftovers(tmp_path / "cut")
 
 
 def test_nobody_there_and_workers_that_would_count_otherwise(

@@ -319,6 +319,19 @@ def test_the_numbers_do_not_depend_on_the_number_of_processes(jobs: int, tmp_pat
     assert len(found[0][0]) == 4
 
 
+def test_files_of_a_run_are_all_flushed_before_any_is_in_place_and_run_json_is_last(
+    method: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[tuple[str, str]] = []
+    flush, place = files._flush, files._into_place
+    monkeypatch.setattr(files, "_flush", lambda path: (done.append(("flushed", path.suffix)), flush(path)))
+    monkeypatch.setattr(files, "_into_place", lambda path, to: (done.append(("in place", to.name)), place(path, to)))
+    run_all(store_in(tmp_path / "out"), seeds=1)
+    assert [what for what, _ in done] == ["flushed"] * 4 + ["in place"] * 4
+    assert done[-1][1] == "run.json"
+    assert {name for _, name in done[4:]} == {"model.json", "model.safetensors", "signals.safetensors", "run.json"}
+
+
 def writes(out: Path) -> list[str]:
     """Every write of a sweep of two runs, in order."""
     seen: list[str] = []
