@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import typer
@@ -19,7 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from nnss_cli.commands.events import emit
+from nnss_cli.commands.events import emit, emitting
 from nnss_cli.experiment.estimate import Estimate
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
@@ -123,6 +124,18 @@ def plan_rows(expected: Estimate) -> list[dict[str, str]]:
         }
         for group in expected.groups
     ]  # fmt: skip
+
+
+@contextlib.contextmanager
+def output(quiet: bool, as_json: bool) -> Iterator[None]:
+    """Within it commands say nothing to people on stdout where they are to be quiet, or to print events."""
+    before = console.quiet
+    console.quiet = quiet or as_json
+    try:
+        with emitting(as_json):
+            yield
+    finally:
+        console.quiet = before
 
 
 def tell_left_out(lines: Iterable[str]) -> None:

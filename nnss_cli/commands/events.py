@@ -15,16 +15,12 @@ _JSON: ContextVar[bool] = ContextVar("json", default=False)
 
 
 @contextlib.contextmanager
-def output(quiet: bool, as_json: bool) -> Iterator[None]:
-    """Within it commands say nothing to people on stdout where it is to be quiet, or to be JSON."""
-    from nnss_cli.commands.display import console
-
-    before, token = console.quiet, _JSON.set(as_json)
-    console.quiet = quiet or as_json
+def emitting(asked: bool) -> Iterator[None]:
+    """Within it events are printed, if that is asked for."""
+    token = _JSON.set(asked)
     try:
         yield
     finally:
-        console.quiet = before
         _JSON.reset(token)
 
 

@@ -236,7 +236,7 @@ def with_output(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command --quiet and --json."""
 
     def wrapper(quiet: bool | None = None, as_json: bool | None = None, **given: Any) -> None:
-        from nnss_cli.commands.events import output
+        from nnss_cli.commands.display import output
 
         with output(bool(quiet), bool(as_json)):
             command(**given)

@@ -254,7 +254,7 @@ def _folders(runs: Path) -> list[Path]:
     try:
         with os.scandir(runs) as entries:
             return [runs / entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
 
 

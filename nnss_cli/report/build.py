@@ -68,12 +68,12 @@ def write_comparison(store: Store, times: bool = True, table: Table | None = Non
         The files written, figures that have nothing to show left out.
 
     Raises:
-        InputError: there are no sound runs.
+        InputError: there are no finished runs.
     """
     made_of = table or agreeing(store, store.read())
     results = made_of.results
     if not results:
-        raise InputError(f"no sound runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
+        raise InputError(f"no finished runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
     with store.writing():
         return _write_files(store, made_of, times)
 
@@ -113,14 +113,14 @@ def write_report(out: Path, times: bool = True, tell: Callable[[str], None] = la
         tell: hears of each run, or group of runs, that is left out because its files are damaged or disagree.
 
     Raises:
-        InputError: there are no sound runs.
+        InputError: there are no finished runs.
     """
     tables = {store: agreeing(store, store.read()) for store in stores(out)}
     for line in (line for table in tables.values() for line in table.left_out):
         tell(line)
     found = [store for store, table in tables.items() if table.results]
     if not found:
-        raise InputError(f"no sound runs under '{out}': run 'nnss compare DATASET' first, or give --out")
+        raise InputError(f"no finished runs under '{out}': run 'nnss compare DATASET' first, or give --out")
     parts = [
         "# Comparison of identification methods",
         "Rebuilt by `nnss report` from the runs on disk, without training. RMSE of free simulations from the first "

@@ -159,8 +159,9 @@ def test_events_are_one_json_object_a_line(nnss: Callable) -> None:
     told = nnss(*COMPARE, "--json")
     assert (told.code, told.err) == (0, "")
     events = [json.loads(line) for line in told.out.splitlines()]
-    assert [one["event"] for one in events] == ["plan", "start", "result", "start", "result", "end"]
-    plan_, _, first, *_, end = events
+    assert [one["event"] for one in events] == ["plan", "start", "result", "forecast", "start", "result", "end"]
+    plan_, _, first, forecast, *_, end = events
+    assert forecast["expected_seconds"] > 0
     assert (plan_["runs"], plan_["done"]) == (2, 0)
     assert (first["run"], first["status"]) == ("twotank-sim/paper/n4sid-n1-s0", "ok")
     assert {score["split"] for score in first["scores"]} == {"train", "val", "test"}
