@@ -83,15 +83,8 @@ class Store:
         lines: dict[str, Line] = {}
         faults: dict[str, str] = {}
         for folder in _folders(runs):
-            run, signals = stamp(folder / "run.json"), stamp(folder / SIGNALS)
-            line = known.get(folder.name)
-            if run is None:
-                continue
-            if line is None or (line.run, line.signals) != (run, signals):
-                line = None
             try:
-                # a folder may have been moved with its index in it
-                line = (line and Line(run, signals, _in_place(line.result, folder))) or _line(folder, run, signals)
+                line = _line(folder, known.get(folder.name))
             except InputError as error:
                 faults[folder.name] = str(error)
             else:
@@ -262,17 +255,28 @@ def _sorted(results: list[RunResult]) -> list[RunResult]:
     return sorted(results, key=lambda r: (r.spec.method, r.spec.order, r.spec.seed))
 
 
-def _line(folder: Path, run: Stamp, signals: Stamp) -> Line | None:
-    """What a run's own files say; None where it has gone meanwhile. The stamps are older than what is read.
+def _line(folder: Path, known: Line | None) -> Line | None:
+    """What is known of a run, else what its own files say; None where it has gone meanwhile.
 
     Raises:
         InputError: they are damaged, or disagree.
     """
-    result = _read(folder / "run.json")
-    if result is None:
+    run, signals = stamp(folder / "run.json"), stamp(folder / SIGNALS)  # older than what is read
+    if run is None:
         return None
-    if signals is not None or result.status == "ok":
-        _agree(result, read_tensors(folder / SIGNALS), folder)
+    try:
+        if known is not None and (known.run, known.signals) == (run, signals):
+            _in_place(known.result, folder)  # it may have been moved with its index
+            return known
+        result = _read(folder / "run.json")
+        if result is None:
+            return None
+        if signals is not None or result.status == "ok":
+            _agree(result, read_tensors(folder / SIGNALS), folder)
+    except InputError:
+        if stamp(folder / "run.json") != run:  # another command replaced it under our eyes
+            return _line(folder, known)
+        raise
     return Line(run, signals, replace(result, history={}))
 
 

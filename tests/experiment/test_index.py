@@ -166,6 +166,29 @@ def test_a_run_without_its_signals_is_named(store: Store) -> None:
     assert "signals.safetensors' cannot be read" in found.faults["n4sid-n3-s0"]
 
 
+def test_a_run_that_is_replaced_while_it_is_read_is_no_fault(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its signals have gone when its run.json was read already: another command does it again."""
+    whole = stores.read_tensors
+    once = iter([True])
+
+    def racing(path: Path) -> dict:
+        if next(once, False):
+            content = {name: (path.parent / name).read_bytes() for name in (path.name, "run.json")}
+            for name in content:
+                (path.parent / name).unlink()
+            try:
+                return whole(path)
+            finally:
+                for name, text in content.items():
+                    (path.parent / name).write_bytes(text)
+        return whole(path)
+
+    monkeypatch.setattr(stores, "read_tensors", racing)
+    found = store.read()
+    assert not found.faults
+    assert len(found.results) == 3
+
+
 def test_one_table_has_one_set_of_options(store: Store) -> None:
     """Two of three seeds agree: the third is told, and does not decide."""
     results = store.read().results
