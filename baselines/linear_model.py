@@ -9,7 +9,7 @@ from typing import Any
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation, first_outputs
 
-from nnss_cli.modelfile import Tensors, write_model
+from nnss_cli.modelfile import Tensors, require_arrays, scaling_arrays, write_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,10 @@ class LinearModel:
     @classmethod
     def from_file(cls, description: dict[str, Any], tensors: Tensors) -> LinearModel:
         """The inverse of `save`."""
+        channels = Channels(**{name: tuple(names) for name, names in description["channels"].items()})
+        n, r, m = tensors["A"].shape[-1], len(channels.inputs), len(channels.outputs)
+        shapes = {"A": (n, n), "B": (n, r), "C": (m, n), "D": (m, r)}
+        require_arrays(tensors, {name: (shape, "float64") for name, shape in shapes.items()} | scaling_arrays(r, m))
         system = LinearStateSpace(tensors["A"], tensors["B"], tensors["C"], tensors["D"], description["Ts"])
         scaling = Scaling(*(tensors[name] for name in ("u_mean", "u_std", "y_mean", "y_std")))
-        channels = Channels(**{name: tuple(names) for name, names in description["channels"].items()})
         return cls(system, scaling, channels)

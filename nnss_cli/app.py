@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from pathlib import Path
 from typing import Annotated, Any
 
 from nnss_cli.machine import prepare
@@ -12,11 +13,12 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, train, tune
+from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, results, train, tune
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.interrupt import EXIT_CODE, interruptible
+from nnss_cli.files import free_space
 from nnss_cli.plugins import PluginWarning
 from nnss_cli.version import __version__
 
@@ -41,6 +43,9 @@ for _name, _module, _example in (
     ("methods", methods, "nnss methods --plugin my_method.py"),
 ):
     app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(with_plugins(_module.command))
+
+
+app.add_typer(results.app, name="results")
 
 
 def _show_version(asked: bool) -> None:
@@ -81,7 +86,8 @@ def main(args: list[str] | None = None) -> None:
     except OSError as error:
         if error.filename is None:
             raise
-        _fail(f"'{error.filename}': {error.strerror}; check the path, its permissions and the free space")
+        free = free_space(Path(error.filename))
+        _fail(f"'{error.filename}': {error.strerror}{free}; check the path, its permissions and the free space")
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -4,6 +4,7 @@ Both are data: nothing in them is ever executed.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,33 @@ def read_model(folder: Path) -> tuple[dict[str, Any], Tensors]:
     return description, read_tensors(folder / "model.safetensors")
 
 
+def require_arrays(tensors: Tensors, expected: Mapping[str, tuple[tuple[int, ...], str]]) -> None:
+    """Refuse arrays that are not those of a model.
+
+    Args:
+        tensors: what was read.
+        expected: shape and type of each array by name; there may be no other.
+
+    Raises:
+        ValueError: one is missing, unknown, of another shape or type, or not finite.
+    """
+    if tensors.keys() != expected.keys():
+        missing, more = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
+        raise ValueError(f"arrays: missing {', '.join(missing) or 'none'}, unknown {', '.join(more)[:80] or 'none'}")
+    for name, (shape, kind) in expected.items():
+        array = tensors[name]
+        if array.shape != shape or array.dtype != kind:
+            raise ValueError(f"{name}: expected {kind} {shape}, found {array.dtype} {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite numbers")
+
+
+def scaling_arrays(inputs: int, outputs: int) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shapes and types of the arrays of a `Scaling`, for `require_arrays`."""
+    sizes = {"u_mean": inputs, "u_std": inputs, "y_mean": outputs, "y_std": outputs}
+    return {name: ((size,), "float64") for name, size in sizes.items()}
+
+
 def write_tensors(path: Path, tensors: Tensors) -> None:
     """Write named arrays as safetensors."""
     from safetensors.numpy import save
@@ -51,10 +79,22 @@ def read_tensors(path: Path) -> Tensors:
     Raises:
         InputError: missing or damaged.
     """
+    try:
+        return parse_tensors(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{path}' cannot be read: {error}; run it again with --force") from error
+
+
+def parse_tensors(content: bytes) -> Tensors:
+    """Named arrays from the content of a safetensors file.
+
+    Raises:
+        ValueError: it is damaged.
+    """
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
     try:
-        return dict(load(path.read_bytes()))
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"'{path}' cannot be read: {error}; run it again with --force") from error
+        return dict(load(content))
+    except SafetensorError as error:
+        raise ValueError(str(error)) from error

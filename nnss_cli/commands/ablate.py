@@ -11,6 +11,7 @@ from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
 
+@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -35,7 +36,8 @@ def command(
 ) -> None:
     """Change one switch of NN-SS at a time: λ, start, windows, encoder, scheduling; or what makes it stable."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.display import console, name_of, print_rows, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.ablation import ablate
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
@@ -47,10 +49,21 @@ def command(
     data = ready_data.dataset
     store = Store(out, data.name, data.protocol)
     require_writable(store.folder)
+
+    def planned(name: str, count: int) -> None:
+        emit("plan", variant=name, runs=count)
+        console.print(f"{name}: {count} runs to do", highlight=False)
+
     found = ablate(
         store, data, study, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}), workers,
-        lambda name, count: console.print(f"{name}: {count} runs to do", highlight=False),
-        lambda _: None, lambda _: None,
+        planned, lambda _: None,
+        lambda result: emit("result", run=name_of(result.spec), status=result.status, reason=result.reason),
     )  # fmt: skip
     print_rows(study_rows(found), f"{data.name}, protocol {data.protocol}: {study}, RMSE, median over seeds")
-    console.print(str(write_study(store, study, found)), soft_wrap=True, highlight=False)
+    left_out = [line for variant in found for line in variant.left_out]
+    written = write_study(store, study, found)
+    console.print(str(written), soft_wrap=True, highlight=False)
+    emit("end", files=[str(written)], left_out=left_out)
+    tell_left_out(left_out)
+    if left_out:
+        raise typer.Exit(1)

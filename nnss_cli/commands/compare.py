@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
+if TYPE_CHECKING:
+    from nnss_cli.experiment.run import RunResult
 
+
+@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -28,6 +32,8 @@ def command(
     fail_fast: opt.FailFast = False,
     time_limit: opt.TimeLimit = None,
     memory_limit: opt.MemoryLimit = None,
+    executor: opt.ExecutorName = "local",
+    scheduler: opt.Scheduler = "",
     dry_run: opt.DryRun = False,
     yes: opt.Yes = False,
     changes: dict[str, Any] | None = None,
@@ -40,9 +46,11 @@ def command(
     input or nowhere to write, 130 interrupted.
     """
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows
+    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
-    from nnss_cli.experiment.estimate import DAY, duration, estimate
+    from nnss_cli.experiment.agreement import agreeing
+    from nnss_cli.experiment.estimate import DAY, Forecast, amount, duration, estimate
     from nnss_cli.experiment.processes import Limits
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import AGAIN, plan, sweep
@@ -52,7 +60,10 @@ def command(
     from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
 
     workers = opt.check_counts(seeds, jobs)
+    if scheduler:
+        workers = 1  # how many a cluster has is not ours to know: times are those of one
     limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
+    opt.check_executor(executor, scheduler, limits != Limits())
     chosen = select(methods or [])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})
     data = ready_data.dataset
@@ -73,10 +84,20 @@ def command(
     if again:
         statuses = ", ".join(dict.fromkeys(again))
         console.print(f"Note: {len(again)} of the finished runs: {statuses}; --retry-failed tries them again")
-    expected = estimate(todo.todo, store.results(), workers)
+    expected = estimate(todo.todo, todo.found.results, workers)
     if todo.todo:
+        if expected.unknown:
+            console.print(f"Planned: {amount(todo.todo)}", soft_wrap=True, highlight=False)
         more = f", and what {', '.join(expected.unknown)} takes: no earlier run tells" if expected.unknown else ""
-        console.print(f"Expected: about {duration(expected.seconds)}{more}", soft_wrap=True, highlight=False)
+        console.print(
+            f"Expected: about {duration(expected.seconds)}{' of one worker' * bool(scheduler)}{more}",
+            soft_wrap=True,
+            highlight=False,
+        )
+    emit(
+        "plan", dataset=data.name, protocol=data.protocol, runs=len(todo.todo), done=len(todo.done),
+        expected_seconds=expected.seconds, unknown=expected.unknown, left_out=list(todo.faults.values()),
+    )  # fmt: skip
     if dry_run:
         if todo.todo:
             print_rows(plan_rows(expected), "To do, if nothing stops early")
@@ -84,9 +105,19 @@ def command(
     if expected.seconds > DAY and not yes:
         raise InputError(f"this will take about {duration(expected.seconds)}: --yes starts it all the same")
     require_writable(store.folder)
+    forecast = Forecast(todo.todo, todo.found.results, workers)
+
+    def on_result(result: RunResult) -> None:
+        progress.on_result(result)
+        left = forecast.after(result)
+        if left is not None and left.groups:
+            long = "; Ctrl-C keeps the finished runs" if left.seconds > DAY else ""
+            progress.tell(f"Expected, as the first runs tell: about {duration(left.seconds)} more{long}")
+            emit("forecast", expected_seconds=left.seconds)
+
     with RunProgress(todo.todo) as progress:
         try:
-            sweep(todo.todo, data, store, workers, progress.on_event, progress.on_result, limits, fail_fast)
+            sweep(todo.todo, data, store, workers, progress.on_event, on_result, limits, fail_fast, scheduler)
         except KeyboardInterrupt:
             progress.progress.stop()
             left = len(todo.todo) - progress.finished
@@ -97,19 +128,25 @@ def command(
     left = len(todo.todo) - progress.finished
     if left:
         console.print(f"Stopped at the first run without a result (--fail-fast): {left} are left", highlight=False)
-    files = write_comparison(store)
+    table = agreeing(store, store.read(todo.found) if todo.todo else todo.found, todo.faults)
+    tell_left_out(table.left_out)
     labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
-    asked = [result for result in store.results() if result.spec.label in labels]
+    asked = [result for result in table.results if result.spec.label in labels]
+    if not asked:
+        emit("end", files=[], left_out=table.left_out)
+        raise typer.Exit(1)
+    files = write_comparison(store, table=table)
     print_rows(terminal_rows(asked), terminal_title(asked))
     combinations = terminal_rows(asked, apart=True)
     if combinations:
         print_rows(combinations, "Made of runs of this folder, so no independent competitor")
-    others = len(store.results()) - len(asked)
+    others = len(table.results) - len(asked)
     if others:
         console.print(f"{others} other runs in this folder are in its files, not in this table.", highlight=False)
     for line in [*(f"Note: {note}" for note in data.notes), *failures(asked), *remarks(asked)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
-    if any(result.status != "ok" for result in asked):
+    emit("end", files=[str(path) for path in files], left_out=table.left_out)
+    if table.left_out or any(result.status != "ok" for result in asked):
         raise typer.Exit(1)

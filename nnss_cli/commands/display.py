@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import typer
 from rich import box
 from rich.console import Console
 from rich.progress import (
@@ -18,6 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from nnss_cli.commands.events import emit, emitting
 from nnss_cli.experiment.estimate import Estimate
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
@@ -68,6 +71,10 @@ class RunProgress:
     def on_event(self, event: Event) -> None:
         """Show a run's epoch."""
         label = event.spec.label
+        if event.epoch:
+            emit("epoch", run=name_of(event.spec), epoch=event.epoch, val_rmse=event.val_rmse)
+        else:
+            emit("start", run=name_of(event.spec))
         if label not in self.tasks:
             self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=_work(event.spec), state="")
         if event.epoch:
@@ -83,6 +90,11 @@ class RunProgress:
     def on_result(self, result: RunResult) -> None:
         """Count a finished run."""
         self.finished += 1
+        emit(
+            "result", run=name_of(result.spec), status=result.status, reason=result.reason,
+            fit_seconds=result.fit_seconds, scores=[vars(score) for score in result.scores],
+            finished=self.finished, of=self.total,
+        )  # fmt: skip
         task = self.tasks.pop(result.spec.label, None)
         if task is not None:
             self.progress.remove_task(task)
@@ -98,6 +110,10 @@ class RunProgress:
         elif result.status != "ok":
             self.progress.console.print(line, markup=False, style="yellow")
 
+    def tell(self, line: str) -> None:
+        """A line beside the bar."""
+        self.progress.console.print(line, soft_wrap=True, highlight=False)
+
 
 def plan_rows(expected: Estimate) -> list[dict[str, str]]:
     """What there is to do, by method and order."""
@@ -110,9 +126,32 @@ def plan_rows(expected: Estimate) -> list[dict[str, str]]:
     ]  # fmt: skip
 
 
+@contextlib.contextmanager
+def output(quiet: bool, as_json: bool) -> Iterator[None]:
+    """Within it commands say nothing to people on stdout where they are to be quiet, or to print events."""
+    before = console.quiet
+    console.quiet = quiet or as_json
+    try:
+        with emitting(as_json):
+            yield
+    finally:
+        console.quiet = before
+
+
+def tell_left_out(lines: Iterable[str]) -> None:
+    """Name on stderr what is damaged or disagrees, and so in no table."""
+    for line in dict.fromkeys(lines):
+        typer.echo(f"nnss: left out: {line}", err=True)
+
+
 def describe(spec: RunSpec) -> str:
     """A run in words."""
     return f"{spec.dataset} {spec.method} n={spec.order} seed {spec.seed}"
+
+
+def name_of(spec: RunSpec) -> str:
+    """A run's name, as `nnss results` takes it."""
+    return f"{spec.dataset}/{spec.protocol}/{spec.label}"
 
 
 def _work(spec: RunSpec) -> int:

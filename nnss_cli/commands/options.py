@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, unknown
 
 
 def _dataset_names(incomplete: str) -> list[str]:
@@ -115,8 +115,19 @@ RetryFailed = Annotated[
     bool, typer.Option("--retry-failed", help="Try runs again that timed out, took too much memory or crashed.")
 ]
 FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first run without a result.")]
+ExecutorName = Annotated[
+    str,
+    typer.Option("--executor", metavar="local|dask", help="Processes of this machine, or workers of a Dask scheduler."),
+]
+Scheduler = Annotated[
+    str, typer.Option("--scheduler", metavar="ADDRESS", help="Of --executor dask, such as tcp://10.0.0.1:8786.")
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
+Quiet = Annotated[bool | None, typer.Option("--quiet", help="Print nothing but errors.")]
+AsJson = Annotated[
+    bool | None, typer.Option("--json", help="Print events for machines: one JSON object a line (docs/reliability.md).")
+]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 
 MAX_JOBS = 1024
@@ -228,6 +239,18 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
     return _with_parameters(command, wrapper, {"plugin": PluginFiles})
 
 
+def with_output(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --quiet and --json."""
+
+    def wrapper(quiet: bool | None = None, as_json: bool | None = None, **given: Any) -> None:
+        from nnss_cli.commands.display import output
+
+        with output(bool(quiet), bool(as_json)):
+            command(**given)
+
+    return _with_parameters(command, wrapper, {"quiet": Quiet, "as_json": AsJson})
+
+
 def _with_parameters(
     command: Callable[..., None], wrapper: Callable[..., None], added: dict[str, Any], without: str = ""
 ) -> Callable[..., None]:
@@ -262,6 +285,20 @@ def as_command_line(settings: dict[str, Any]) -> str:
         else:
             parts += [option, *map(str, value if isinstance(value, tuple) else (value,))]
     return shlex.join(parts)
+
+
+def check_executor(executor: str, scheduler: str, limited: bool) -> None:
+    """Refuse an executor that is unknown, or without what it needs.
+
+    Raises:
+        InputError: it is.
+    """
+    if executor not in ("local", "dask"):
+        raise unknown("executor", executor, ("local", "dask"))
+    if (executor == "dask") != bool(scheduler):
+        raise InputError(f"--executor {executor}: expected --scheduler ADDRESS with dask, and only there")
+    if scheduler and limited:
+        raise InputError("--time-limit, --memory-limit: expected without --executor dask, whose workers have their own")
 
 
 def check_counts(seeds: int, jobs: int | None) -> int:

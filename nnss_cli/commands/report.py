@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from nnss_cli.commands.options import Out
+from nnss_cli.commands.options import Out, with_output
 
 
+@with_output
 def command(
     out: Out = Path("results"),
     times: Annotated[
@@ -19,11 +20,23 @@ def command(
         ),
     ] = True,
 ) -> None:
-    """Rebuild every table and figure from the runs on disk, without training, and write report.md."""
-    from nnss_cli.commands.display import console
+    """Rebuild every table and figure from the runs on disk, without training, and write report.md.
+
+    A run whose files are damaged or disagree is named and left out: exit code 1.
+    """
+    from nnss_cli.commands.display import console, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_report
 
     if out.is_dir():
         require_writable(out)
-    console.print(str(write_report(out, times)), soft_wrap=True, highlight=False)
+    left_out: list[str] = []
+    try:
+        written = write_report(out, times, left_out.append)
+        console.print(str(written), soft_wrap=True, highlight=False)
+        emit("end", files=[str(written)], left_out=left_out)
+    finally:
+        tell_left_out(left_out)
+    if left_out:
+        raise typer.Exit(1)

@@ -11,6 +11,7 @@ from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
 
+@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -28,7 +29,8 @@ def command(
 ) -> None:
     """Train one model, keep it under results/ and print its errors. Exit code 1 when it has no result."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, print_rows
+    from nnss_cli.commands.display import RunProgress, console, name_of, print_rows, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import plan, sweep
     from nnss_cli.files import require_writable
@@ -44,9 +46,17 @@ def command(
     with RunProgress(todo.todo) as progress:
         sweep(todo.todo, data, store, 1, progress.on_event, progress.on_result)
     kept_seed = seed if methods[0].seeded else 0
-    result = next(
-        r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
-    )
+    asked = [
+        r for r in store.read().results if (r.spec.method, r.spec.order, r.spec.seed) == (method, order, kept_seed)
+    ]
+    tell_left_out(todo.faults.values())
+    if not asked:
+        raise typer.Exit(1)
+    (result,) = asked
+    emit(
+        "end", run=name_of(result.spec), status=result.status, reason=result.reason, done_before=bool(todo.done),
+        scores=[vars(score) for score in result.scores], folder=str(store.run_folder(result.spec)),
+    )  # fmt: skip
     if result.status != "ok":
         typer.echo(f"nnss: {result.spec.label} {result.status}: {result.reason}", err=True)
         raise typer.Exit(1)

@@ -12,6 +12,7 @@ from nnss_cli.commands.record_options import as_arguments, with_record_options
 from nnss_cli.errors import InputError
 
 
+@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -37,6 +38,7 @@ def command(
     """
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import check_order
     from nnss_cli.experiment.tune import Trial, tune
@@ -53,6 +55,7 @@ def command(
     storage = folder / "tune" / f"order-{order}.db"
 
     def tell(trial: Trial) -> None:
+        emit("trial", **vars(trial))
         console.print(f"trial {trial.number}: {trial.state}, val RMSE/σ {trial.val_rmse:.4g}", highlight=False)
 
     found = tune(data.fitting, order, trials, sampler, seed, ready_data.settings | (changes or {}), storage, tell)
@@ -64,4 +67,5 @@ def command(
         options = opt.as_command_line(found[0].settings)
         line = f"nnss train {as_arguments(dataset, own or {})} --order {order} --seed {seed}{protocol_option} {options}"
         console.print("Train the best one:", line, soft_wrap=True, highlight=False)
+    emit("end", best=vars(found[0]), trials=len(found), files=[str(storage)])
     console.print(str(storage), soft_wrap=True, highlight=False)

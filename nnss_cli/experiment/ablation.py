@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import unknown
+from nnss_cli.experiment.agreement import agreeing
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, records_of
@@ -58,6 +59,8 @@ class Variant:
     """A run per seed."""
     unbounded: tuple[RunResult, ...] | None
     """Those with a model whose state left the range of numbers under stress; None where that was not tried."""
+    left_out: tuple[str, ...] = ()
+    """A line for each run that is damaged, or disagrees with the others."""
 
 
 def variant_store(store: Store, study: str, name: str) -> Store:
@@ -90,13 +93,15 @@ def ablate(
     for name, change in STUDIES[study].items():
         own = variant_store(store, study, name)
         changed = for_method(overrides, method.name) | change
-        todo = plan(own, dataset, [method], orders, seeds, changed, force=False).todo
+        planned = plan(own, dataset, [method], orders, seeds, changed, force=False)
+        todo = planned.todo
         on_plan(name, len(todo))
         sweep(todo, dataset, own, jobs, on_event, on_result)
         wanted = set(seeds)
-        results = tuple(r for r in own.results() if r.spec.order in orders and r.spec.seed in wanted)
+        table = agreeing(own, own.read(planned.found), planned.faults)
+        results = tuple(r for r in table.results if r.spec.order in orders and r.spec.seed in wanted)
         unbounded = tuple(r for r in results if _diverges(own, r)) if study == "stability" else None
-        found.append(Variant(name, results, unbounded))
+        found.append(Variant(name, results, unbounded, tuple(table.left_out)))
     return found
 
 

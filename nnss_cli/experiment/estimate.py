@@ -61,6 +61,42 @@ def estimate(todo: Sequence[RunSpec], earlier: Sequence[RunResult], jobs: int) -
     return Estimate(tuple(groups), total / max(1, min(jobs, len(todo))), tuple(unknown))
 
 
+class Forecast:
+    """Of a study of which no earlier run tells: its time, as soon as its own first runs tell it."""
+
+    def __init__(self, todo: Sequence[RunSpec], earlier: Sequence[RunResult], jobs: int) -> None:
+        self._left = {spec.label: spec for spec in todo}
+        self._known, self._jobs = list(earlier), jobs
+        self._open = set(estimate(todo, earlier, jobs).unknown)
+
+    def after(self, result: RunResult) -> Estimate | None:
+        """The time for what is left when this result has just come; once, when every method has one, else None."""
+        if not self._open:
+            return None
+        self._left.pop(result.spec.label, None)
+        self._known.append(result)
+        self._open.discard(result.spec.method)
+        return None if self._open else estimate(list(self._left.values()), self._known, self._jobs)
+
+
+def amount(todo: Sequence[RunSpec]) -> str:
+    """How much is planned, in words, by method: runs, and epochs at most where a method has them."""
+    runs: dict[str, list[RunSpec]] = {}
+    for spec in todo:
+        runs.setdefault(spec.method, []).append(spec)
+    parts = []
+    for method, own in runs.items():
+        epochs = sum(int(spec.settings.get("epochs", 0)) for spec in own)
+        most = f", {epochs:,} epochs at most" if epochs else ""
+        parts.append(f"{method} {len(own):,} run{'s' * (len(own) > 1)} of order {_orders(own)}{most}")
+    return "; ".join(parts)
+
+
+def _orders(specs: Sequence[RunSpec]) -> str:
+    orders = sorted({spec.order for spec in specs})
+    return ", ".join(map(str, orders)) if len(orders) < 6 else f"{orders[0]} to {orders[-1]}"
+
+
 def duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     for unit, size in (("days", DAY), ("h", 3600.0), ("min", 60.0)):

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
-from importlib import metadata
 
 import numpy as np
 
 from nnss_cli.datasets.record import Dataset
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.provenance import Watch
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
+from nnss_cli.files import together
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods import METHODS, Fit, Method, Model, load_model
 from nnss_cli.methods.registry import sound_fit
 from nnss_cli.modelfile import Tensors
-from nnss_cli.version import __version__
-
-LIBRARIES = ("numpy", "scipy", "torch", "numba")
-"""Those whose version may change a number's last digits."""
 
 # Singular, too short, out of range. torch's errors of linear algebra are RuntimeErrors.
 NUMERICAL = (ValueError, ArithmeticError, np.linalg.LinAlgError, RuntimeError)
@@ -32,6 +28,7 @@ def execute(
     store: Store,
     on_epoch: EpochCallback | None = None,
     method: Method | None = None,
+    command: str | None = None,
 ) -> RunResult:
     """Fit, simulate, score and write one run. Numerical failure is a result, not an exception.
 
@@ -43,10 +40,12 @@ def execute(
         store: where it is kept.
         on_epoch: hears of each epoch.
         method: what fits; the registered one of the run's method unless given.
+        command: the command line that asked for it; this process's own unless given.
 
     Raises:
         InputError: it cannot be kept: no space, no permission.
     """
+    watch = Watch()
     with store.writing():
         store.clear(spec)
     status: Status = "ok"
@@ -88,20 +87,21 @@ def execute(
             status, reason = "failed", f"its simulation failed: {sentence(error)}"
         if status != "ok":
             scores = []
-        with store.writing():
-            fit.model.save(store.run_folder(spec))
     result = RunResult(
-        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), provenance(), fit.history,
+        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), watch.provenance(command), fit.history,
         asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
     )  # fmt: skip
-    store.write(result, signals)
+    with store.writing(), together():
+        if fit.model is not None:
+            fit.model.save(store.run_folder(spec))
+        store.write(result, signals)
     return result
 
 
 def _members(method: Method, spec: RunSpec, store: Store) -> list[RunResult]:
     """The finished runs that a combination was planned with, by seed."""
-    wanted = {(method.members, spec.order, seed) for seed in spec.settings["members"]}
-    return [r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) in wanted]
+    found = (store.find(replace(spec, method=method.members, seed=seed)) for seed in spec.settings["members"])
+    return [result for result in found if result is not None]
 
 
 def combined(method: Method, members: list[RunResult], dataset: Dataset, store: Store) -> Fit:
@@ -110,7 +110,11 @@ def combined(method: Method, members: list[RunResult], dataset: Dataset, store: 
     lost = [f"seed {member.spec.seed} {member.status}" for member in members if member.status != "ok"]
     if not sound:
         return Fit(None, diverged=f"none of its {len(members)} members has a model: {', '.join(lost) or 'none ran'}")
-    fit = method.combine([load_model(store.run_folder(member.spec)) for member in sound], dataset.fitting)
+    try:
+        models = [load_model(store.run_folder(member.spec)) for member in sound]
+    except InputError as error:  # a damaged member costs this run, not the command
+        raise ValueError(str(error)) from error
+    fit = method.combine(models, dataset.fitting)
     if lost:
         fit = replace(fit, remarks=(*fit.remarks, f"{len(lost)} of {len(members)} members left out: {', '.join(lost)}"))
     return fit
@@ -143,15 +147,3 @@ def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensor
         )
     signals["Ts"] = np.array([dataset.fitting.Ts])
     return scores, signals
-
-
-def provenance() -> dict[str, str]:
-    """Where a number came from: versions, machine, time."""
-    versions = {name: metadata.version(name) for name in LIBRARIES}
-    return {
-        "nnss": __version__,
-        "python": platform.python_version(),
-        **versions,
-        "machine": f"{platform.system()} {platform.machine()}",
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-    }

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import execute, provenance, sentence
+from nnss_cli.experiment.agreement import difference
+from nnss_cli.experiment.execute import execute, sentence
+from nnss_cli.experiment.index import Stamp
+from nnss_cli.experiment.provenance import Watch, command_line
 from nnss_cli.experiment.run import RunResult, RunSpec, Status
-from nnss_cli.experiment.store import Stamp, Store
+from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS
 
 
@@ -35,6 +38,8 @@ class Task:
     """Which one."""
     stamp: Stamp
     """Its run.json when the sweep began: another one since then is another command's result."""
+    command: str = field(default_factory=command_line)
+    """The command line that asks for it."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,8 @@ class Loss:
     """In words."""
     seconds: float
     """For how long it had run."""
+    final: bool = False
+    """Whether it was tried again already."""
 
 
 @dataclass(frozen=True)
@@ -125,18 +132,20 @@ def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], N
     with store.lock(spec) as held:
         if not held:
             return None
-        if (kept := _kept_meanwhile(task, store)) is not None:
+        if (kept := kept_meanwhile(task, store)) is not None:
             return kept
         METHODS[spec.method].prepare(spec.settings)
         report(Event(spec))
         started = time.perf_counter()
         try:
-            return execute(spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)))
+            return execute(
+                spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)), command=task.command
+            )
         except InputError:
             raise
         except Exception as error:
             reason = f"{type(error).__name__}: {sentence(error)}"
-            return _write_loss(spec, Loss("crashed", reason, time.perf_counter() - started), dataset, store)
+            return _write_loss(task, Loss("crashed", reason, time.perf_counter() - started), dataset, store)
 
 
 def settle(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult | None:
@@ -144,21 +153,22 @@ def settle(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult 
     with store.lock(task.spec) as held:
         if not held:
             return None
-        return _kept_meanwhile(task, store) or _write_loss(task.spec, loss, dataset, store)
+        return kept_meanwhile(task, store) or _write_loss(task, loss, dataset, store)
 
 
-def _kept_meanwhile(task: Task, store: Store) -> RunResult | None:
+def kept_meanwhile(task: Task, store: Store) -> RunResult | None:
+    """The result that another command has kept since the sweep began; None if there is none, or of other options."""
     if store.stamp(task.spec) == task.stamp:
         return None
     kept = store.find(task.spec)
-    return kept if kept is not None and not store.conflict(task.spec, [kept]) else None
+    return kept if kept is not None and not difference(task.spec, kept) else None
 
 
-def _write_loss(spec: RunSpec, loss: Loss, dataset: Dataset, store: Store) -> RunResult:
+def _write_loss(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult:
     result = RunResult(
-        spec, loss.status, loss.reason, (), 0, round(loss.seconds, 3), provenance(), {},
+        task.spec, loss.status, loss.reason, (), 0, round(loss.seconds, 3), Watch().provenance(task.command), {},
         asdict(dataset.fitting.channels), dataset.notes,
     )  # fmt: skip
-    store.clear(spec)
+    store.clear(task.spec)
     store.write(result, {})
     return result

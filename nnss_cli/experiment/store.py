@@ -7,26 +7,37 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 from nnss_cli.datasets.record import Record
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_index
 from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
-from nnss_cli.files import remove_leftovers, write_text
-from nnss_cli.modelfile import Tensors, read_tensors, write_tensors
-from nnss_cli.version import __version__
+from nnss_cli.files import free_space, remove_leftovers, together, write_bytes, write_text
+from nnss_cli.modelfile import Tensors, parse_tensors, read_tensors, write_tensors
 
 LOCKS = ".locks"  # beside the runs: their own folders come and go
+SIGNALS = "signals.safetensors"
 
-Stamp: TypeAlias = tuple[int, int] | None
-"""Which file a run.json is: its inode and time of change; None where there is none."""
+
+@dataclass(frozen=True)
+class Found:
+    """What there is of a folder's runs."""
+
+    results: list[RunResult]
+    """Finished runs that are sound, in a fixed order, without the histories of their fits."""
+    faults: dict[str, str]
+    """Runs whose files are damaged or disagree, by label: a line each that names the file."""
+    lines: dict[str, Line] = field(repr=False)
+    """What is known of each sound run's files, by label."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +61,38 @@ class Store:
         return self.folder / "runs" / spec.label
 
     def results(self) -> list[RunResult]:
-        """All finished runs, in a fixed order.
+        """All finished runs, whole, in a fixed order.
 
         Raises:
             InputError: a run's file is damaged.
         """
         read = (_read(path) for path in (self.folder / "runs").glob("*/run.json"))
-        found = [result for result in read if result is not None]
-        return sorted(found, key=lambda r: (r.spec.method, r.spec.order, r.spec.seed))
+        return _sorted([result for result in read if result is not None])
+
+    def read(self, before: Found | None = None, touch: bool = True) -> Found:
+        """All finished runs, from the index where their files are those that it tells of.
+
+        What is not is read, checked against its folder and its signals, and told in the index, which is written anew.
+
+        Args:
+            before: what was found earlier by this process, instead of the index.
+            touch: whether the index may be written.
+        """
+        runs = self.folder / "runs"
+        known = read_index(runs) if before is None else before.lines
+        lines: dict[str, Line] = {}
+        faults: dict[str, str] = {}
+        for folder in _folders(runs):
+            try:
+                line = _line(folder, known.get(folder.name))
+            except InputError as error:
+                faults[folder.name] = str(error)
+            else:
+                if line is not None:
+                    lines[folder.name] = line
+        if touch and lines != known:
+            write_index(runs, lines)
+        return Found(_sorted([line.result for line in lines.values()]), faults, lines)
 
     def find(self, spec: RunSpec) -> RunResult | None:
         """The finished run in this one's folder.
@@ -69,22 +104,22 @@ class Store:
 
     def stamp(self, spec: RunSpec) -> Stamp:
         """Which finished run is there: it differs as soon as another one is."""
-        try:
-            found = (self.run_folder(spec) / "run.json").stat()
-        except FileNotFoundError:
-            return None
-        return found.st_ino, found.st_mtime_ns
+        return stamp(self.run_folder(spec) / "run.json")
 
-    @contextlib.contextmanager
-    def lock(self, spec: RunSpec) -> Iterator[bool]:
+    def lock(self, spec: RunSpec) -> AbstractContextManager[bool]:
         """Hold a run, if nobody does; gives whether it is held now.
 
         Raises:
             InputError: the folder cannot be written.
         """
+        return self.lock_label(spec.label)
+
+    @contextlib.contextmanager
+    def lock_label(self, label: str) -> Iterator[bool]:
+        """Likewise, by the name of its folder."""
         with contextlib.ExitStack() as stack:
             with self.writing():
-                held = stack.enter_context(lock(self._lock_of(spec.label)))
+                held = stack.enter_context(lock(self._lock_of(label)))
             yield held
 
     @contextlib.contextmanager
@@ -97,12 +132,9 @@ class Store:
         try:
             yield
         except OSError as error:
-            free = ""
-            with contextlib.suppress(OSError):
-                free = f" ({shutil.disk_usage(self.folder).free:,} bytes free)"
             raise InputError(
-                f"cannot write to '{self.folder}': {error.strerror or error}{free}; the finished runs are kept, and "
-                "once it can be written the same command goes on from here"
+                f"cannot write to '{self.folder}': {error.strerror or error}{free_space(self.folder)}; the finished "
+                "runs are kept, and once it can be written the same command goes on from here"
             ) from error
 
     def tidy(self) -> None:
@@ -113,10 +145,9 @@ class Store:
         """
         runs = self.folder / "runs"
         with self.writing():
-            remove_leftovers(self.folder)
-            for folder in runs.glob("*"):
-                if folder.name.startswith(".") or not folder.is_dir():
-                    continue
+            for folder in (self.folder, runs):
+                remove_leftovers(folder)
+            for folder in _folders(runs):
                 if (folder / "run.json").exists():
                     remove_leftovers(folder)
                     continue
@@ -132,7 +163,11 @@ class Store:
 
     def clear(self, spec: RunSpec) -> None:
         """Forget a run: its marker goes first, so an interruption leaves it missing, not half there."""
-        folder = self.run_folder(spec)
+        self.clear_label(spec.label)
+
+    def clear_label(self, label: str) -> None:
+        """Likewise, by the name of its folder."""
+        folder = self.folder / "runs" / label
         (folder / "run.json").unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -141,8 +176,34 @@ class Store:
         folder = self.run_folder(result.spec)
         with self.writing():
             if signals:
-                write_tensors(folder / "signals.safetensors", signals)
+                write_tensors(folder / SIGNALS, signals)
             write_text(folder / "run.json", json.dumps(result.to_json(), indent=1, ensure_ascii=False) + "\n")
+
+    def adopt(self, files: Mapping[str, bytes]) -> RunResult:
+        """Keep a run that was made elsewhere. Whoever else may write it holds its lock.
+
+        Args:
+            files: what was in its folder, by name.
+
+        Raises:
+            ValueError: it is damaged, disagrees with itself, or is of another dataset or protocol.
+            InputError: it cannot be written.
+        """
+        strange = [name for name in files if Path(name).name != name or name.startswith(".")]
+        if strange or "run.json" not in files:
+            raise ValueError(f"files: expected run.json and others beside it, found {', '.join(files)[:80]}")
+        result = parse_result(files["run.json"])
+        check_place(result, self.dataset, self.protocol, result.spec.label)
+        if Path(result.spec.label).name != result.spec.label:
+            raise ValueError(f"spec: expected a plain name, found {result.spec.label!r:.80}")
+        if SIGNALS in files or result.status == "ok":
+            check_signals(result, parse_tensors(files.get(SIGNALS, b"")))
+        folder = self.run_folder(result.spec)
+        with self.writing(), together():
+            self.clear(result.spec)
+            for name in sorted(files, key=lambda name: name == "run.json"):
+                write_bytes(folder / name, files[name])
+        return result
 
     def signals(self, spec: RunSpec) -> Tensors:
         """Measured and simulated outputs and states of a run: '<split>/<record>/y', '…/y_sim', '…/x', '…/u'.
@@ -150,47 +211,12 @@ class Store:
         Raises:
             InputError: they are missing or damaged, or not those of its scores.
         """
-        path = self.run_folder(spec) / "signals.safetensors"
-        signals = read_tensors(path)
+        folder = self.run_folder(spec)
+        signals = read_tensors(folder / SIGNALS)
         result = self.find(spec)
-        try:
-            if result is not None:
-                check_signals(result, signals)
-        except ValueError as error:
-            raise InputError(
-                f"'{path}' disagrees with the run.json beside it ({error}); remove '{path.parent}' and run it again"
-            ) from error
+        if result is not None:
+            _agree(result, signals, folder)
         return signals
-
-    def conflict(self, spec: RunSpec, results: list[RunResult]) -> str:
-        """Which finished runs must not be mixed with `spec` in one table, and how they differ ("" if there are none).
-
-        Runs of any method and order must be of the same data; those of the same method and order also of the same
-        versions and options.
-        """
-        for result in results:
-            difference = self._difference(spec, result)
-            if difference:
-                return f"{result.spec.method}, order {result.spec.order}, with {difference}"
-        return ""
-
-    @staticmethod
-    def _difference(spec: RunSpec, result: RunResult) -> str:
-        other = result.spec
-        if other.data != spec.data:
-            return "another version of the data"
-        if (other.method, other.order) != (spec.method, spec.order):
-            return ""
-        made = result.provenance.get("nnss", "unknown")
-        if made != __version__:
-            return f"nnss {made} instead of {__version__}"
-        if other.version != spec.version:
-            return f"version {other.version or 'unknown'} of the method instead of {spec.version}"
-        return ", ".join(
-            f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
-            for name in spec.settings | other.settings
-            if _value(other.settings, name) != _value(spec.settings, name)
-        )
 
 
 def stores(out: Path) -> list[Store]:
@@ -208,7 +234,7 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
     Raises:
         InputError: the run keeps none, or they are damaged.
     """
-    signals = read_tensors(folder / "signals.safetensors")
+    signals = read_tensors(folder / SIGNALS)
     counts = Counter(name.split("/")[0] for name in signals if name.endswith("/y"))
     return {
         split: tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
@@ -216,9 +242,51 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
     }
 
 
-def _value(settings: dict[str, Any], name: str) -> Any:
-    value = settings.get(name)
-    return list(value) if isinstance(value, tuple) else value
+def _folders(runs: Path) -> list[Path]:
+    """The folders of runs, finished or not."""
+    try:
+        with os.scandir(runs) as entries:
+            return [runs / entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _sorted(results: list[RunResult]) -> list[RunResult]:
+    return sorted(results, key=lambda r: (r.spec.method, r.spec.order, r.spec.seed))
+
+
+def _line(folder: Path, known: Line | None) -> Line | None:
+    """What is known of a run, else what its own files say; None where it has gone meanwhile.
+
+    Raises:
+        InputError: they are damaged, or disagree.
+    """
+    run, signals = stamp(folder / "run.json"), stamp(folder / SIGNALS)  # older than what is read
+    if run is None:
+        return None
+    try:
+        if known is not None and (known.run, known.signals) == (run, signals):
+            _in_place(known.result, folder)  # it may have been moved with its index
+            return known
+        result = _read(folder / "run.json")
+        if result is None:
+            return None
+        if signals is not None or result.status == "ok":
+            _agree(result, read_tensors(folder / SIGNALS), folder)
+    except InputError:
+        if stamp(folder / "run.json") != run:  # another command replaced it under our eyes
+            return _line(folder, known)
+        raise
+    return Line(run, signals, replace(result, history={}))
+
+
+def _agree(result: RunResult, signals: Tensors, folder: Path) -> None:
+    try:
+        check_signals(result, signals)
+    except ValueError as error:
+        raise InputError(
+            f"'{folder / SIGNALS}' disagrees with the run.json beside it ({error}); remove '{folder}' and run it again"
+        ) from error
 
 
 def _read(path: Path) -> RunResult | None:
@@ -228,14 +296,29 @@ def _read(path: Path) -> RunResult | None:
         InputError: it is damaged.
     """
     try:
-        result = parse_result(path.read_bytes())
-        *_, dataset, protocol, _, label = path.parent.parts
-        check_place(result, dataset, protocol, label)
-        return result
+        return _in_place(parse_result(path.read_bytes()), path.parent)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"'{path}' is not a finished run of this version ({error}); "
-            f"remove the folder '{path.parent}' and run it again"
-        ) from error
+        raise _unfinished(path.parent, error) from error
+
+
+def _in_place(result: RunResult, folder: Path) -> RunResult:
+    """A run that is that of its folder.
+
+    Raises:
+        InputError: it is another one's.
+    """
+    *_, dataset, protocol, _, label = folder.parts
+    try:
+        check_place(result, dataset, protocol, label)
+    except ValueError as error:
+        raise _unfinished(folder, error) from error
+    return result
+
+
+def _unfinished(folder: Path, error: Exception) -> InputError:
+    return InputError(
+        f"'{folder / 'run.json'}' is not a finished run of this version ({error}); "
+        f"remove the folder '{folder}' and run it again"
+    )

@@ -6,14 +6,16 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import LIBRARIES, provenance
+from nnss_cli.experiment.agreement import conflict, difference
 from nnss_cli.experiment.executor import Event, Executor, Serial, Task, settle
 from nnss_cli.experiment.processes import NO_LIMITS, Limits, Processes
+from nnss_cli.experiment.provenance import LIBRARIES, MADE_ON, here
 from nnss_cli.experiment.run import RunResult, RunSpec
-from nnss_cli.experiment.store import Store
+from nnss_cli.experiment.store import Found, Store
 from nnss_cli.methods import METHODS, Method, Settings, version_of
 from nnss_cli.methods.options import for_method
 
@@ -36,16 +38,18 @@ class Plan:
     """Runs to execute."""
     done: list[RunResult]
     """Runs that were asked for and are finished already."""
+    faults: dict[str, str]
+    """Runs of the folder that are damaged or disagree with the others, by label: they are neither used nor replaced."""
+    found: Found
+    """What there was in the folder."""
 
     def made_elsewhere(self) -> list[str]:
-        """A line for each library whose version was another one when a finished run was made, and for the machine."""
-        here = provenance()
+        """A line for each version of the code or a library, and for each machine, that made finished runs elsewhere."""
         lines = []
-        for name in (*LIBRARIES, "python", "machine"):
-            others = Counter(made for r in self.done if (made := r.provenance.get(name, "unknown")) != here[name])
-            lines += [
-                f"{count} of the finished runs: {name} {made}, here {here[name]}" for made, count in others.items()
-            ]
+        for name in (*LIBRARIES, "python", "commit", *MADE_ON):
+            own = here().get(name, "unknown")
+            others = Counter(made for r in self.done if (made := r.provenance.get(name, "unknown")) != own)
+            lines += [f"{count} of the finished runs: {name} {made}, here {own}" for made, count in others.items()]
         return lines
 
 
@@ -110,10 +114,13 @@ def plan(
             other options, data or versions that must not be mixed with these.
     """
     check_count(len(set(orders)) * sum(len(seeds) if method.seeded else 1 for method in methods))
-    existing = store.results()
+    found = store.read(touch=not dry)
+    existing, faults = found.results, dict(found.faults)
     missing = ("failed", *AGAIN) if retry else ("failed",)
     finished = {r.spec.label: r for r in existing if r.status not in missing}
     data = dataset.fingerprint()
+    if not force:
+        existing = _without_strays(existing, lambda _: True, partial(_other_data, data), store, faults)
     todo: list[RunSpec] = []
     done: list[RunResult] = []
 
@@ -132,44 +139,82 @@ def plan(
             if method.members:
                 member = first(METHODS[method.members], order)
                 own = [r for r in existing if (r.spec.method, r.spec.order) == (member.method, order)]
-                kept = {r.spec.seed for r in own if not store.conflict(member, [r])}
-                spec = replace(spec, settings=spec.settings | {"members": sorted(kept | set(seeds))})
+                kept = {r.spec.seed for r in own if not difference(member, r)}
+                sound = [one for one in kept | set(seeds) if force or replace(member, seed=one).label not in faults]
+                spec = replace(spec, settings=spec.settings | {"members": sorted(sound)})
                 retrained = any((s.method, s.order) == (member.method, order) for s in todo)
-                outdated = force or retrained or bool(store.conflict(spec, existing))
+                outdated = force or retrained or bool(conflict(spec, existing))
                 chosen = [spec]
             else:
                 outdated = force
                 chosen = [replace(spec, seed=seed) for seed in (seeds if method.seeded else [0])]
-                difference = "" if force else store.conflict(spec, existing)
-                if difference:
+                if not force:
+                    existing = _without_strays(
+                        existing, partial(_is_of, spec), partial(difference, spec), store, faults
+                    )
+                other = "" if force else conflict(spec, existing)
+                if other:
                     raise InputError(
-                        f"'{store.folder}' holds runs of {difference}: "
+                        f"'{store.folder}' holds runs of {other}: "
                         "take another folder with --out, or --force to replace them"
                     )
             for one in chosen:
+                if one.label in faults and not force:
+                    continue
                 if outdated or one.label not in finished:
                     todo.append(one)
                 else:
                     done.append(finished[one.label])
     if force:
         replaced = {(spec.method, spec.order) for spec in todo}
-        difference = store.conflict(todo[0], [r for r in existing if (r.spec.method, r.spec.order) not in replaced])
-        if difference:
+        other = conflict(todo[0], [r for r in existing if (r.spec.method, r.spec.order) not in replaced])
+        if other:
             raise InputError(
-                f"'{store.folder}' holds runs of {difference}, which this command does not replace: "
+                f"'{store.folder}' holds runs of {other}, which this command does not replace: "
                 "take another folder with --out, or remove it"
             )
     if force and not dry:
         _discard_replaced(store, todo, existing)
-    return Plan(todo, done)
+    replaced_labels = {spec.label for spec in todo}
+    return Plan(todo, done, {label: line for label, line in faults.items() if label not in replaced_labels}, found)
 
 
 def _discard_replaced(store: Store, todo: list[RunSpec], existing: list[RunResult]) -> None:
     """Forget old runs that differ from the new ones of their method and order: they must not mix."""
+    new = {(spec.method, spec.order): spec for spec in todo}
     for result in existing:
-        same = [s for s in todo if (s.method, s.order) == (result.spec.method, result.spec.order)]
-        if same and store.conflict(same[0], [result]):
+        spec = new.get((result.spec.method, result.spec.order))
+        if spec is not None and difference(spec, result):
             store.clear(result.spec)
+
+
+def _is_of(spec: RunSpec, result: RunResult) -> bool:
+    return (result.spec.method, result.spec.order) == (spec.method, spec.order)
+
+
+def _other_data(data: str, result: RunResult) -> str:
+    return "" if result.spec.data == data else "another version of the data"
+
+
+def _without_strays(
+    existing: list[RunResult],
+    kind: Callable[[RunResult], bool],
+    differs: Callable[[RunResult], str],
+    store: Store,
+    faults: dict[str, str],
+) -> list[RunResult]:
+    """The runs without those of a kind that differ from what is asked for, where others of the kind do not.
+
+    Those are added to `faults`. Where all of a kind differ, something else is asked for than there is.
+    """
+    own = [result for result in existing if kind(result)]
+    reasons = {result.spec.label: reason for result in own if (reason := differs(result))}
+    if len(reasons) == len(own):
+        return existing
+    for label, reason in reasons.items():
+        folder = store.folder / "runs" / label
+        faults[label] = f"'{folder}' holds a run with {reason}, unlike others there; remove it, or run it with --force"
+    return [result for result in existing if result.spec.label not in reasons]
 
 
 def sweep(
@@ -181,6 +226,7 @@ def sweep(
     on_result: Callable[[RunResult], None],
     limits: Limits = NO_LIMITS,
     fail_fast: bool = False,
+    scheduler: str = "",
 ) -> None:
     """Execute runs; each is on disk when `on_result` hears of it.
 
@@ -196,6 +242,7 @@ def sweep(
         on_result: hears of each result.
         limits: of a run.
         fail_fast: end with the first result that is not ok.
+        scheduler: address of a Dask scheduler whose workers execute the runs, instead of processes here.
 
     Raises:
         KeyboardInterrupt: finished runs stay, the others are missing.
@@ -208,14 +255,20 @@ def sweep(
     combinations = [task for task in tasks if METHODS[task.spec.method].members]
     trained = [task for task in tasks if not METHODS[task.spec.method].members]
     executor: Executor
-    if limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
+    if scheduler:
+        from nnss_cli.experiment.cluster import Dask
+
+        executor = Dask(scheduler, dataset, store, on_event)
+    elif limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
         executor = Serial(dataset, store, on_event)
     else:
         _prepare(specs)
         executor = Processes(min(jobs, len(specs)), dataset, store, limits, on_event)
     try:
-        for part in (trained, combinations):  # these are made of those
-            for result in _results(part, executor, dataset, store):
+        # combinations are made of the others, which a cluster's workers do not have at hand
+        last = Serial(dataset, store, on_event) if scheduler else executor
+        for part, own in ((trained, executor), (combinations, last)):
+            for result in _results(part, own, dataset, store):
                 on_result(result)
                 if fail_fast and result.status != "ok":
                     return
@@ -251,7 +304,7 @@ def _results(tasks: Sequence[Task], executor: Executor, dataset: Dataset, store:
             task, result = outcome.task, outcome.result
             if outcome.loss is not None:
                 tries[task.spec.label] += 1
-                if outcome.loss.status == "crashed" and tries[task.spec.label] < TRIES:
+                if outcome.loss.status == "crashed" and not outcome.loss.final and tries[task.spec.label] < TRIES:
                     ready.appendleft(task)
                     continue
                 result = settle(task, outcome.loss, dataset, store)

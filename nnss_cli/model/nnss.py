@@ -33,7 +33,7 @@ from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation, 
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.initial import SINGULAR, response, state_from_window
 from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
-from nnss_cli.modelfile import Tensors, write_model
+from nnss_cli.modelfile import Tensors, require_arrays, scaling_arrays, write_model
 
 
 class Drift(nn.Module):
@@ -242,6 +242,9 @@ class NNSS(nn.Module):
         settings |= {"hidden": tuple(settings["hidden"]), "encoder": tuple(settings["encoder"])}
         channels = Channels(**{name: tuple(names) for name, names in description["channels"].items()})
         scaling = Scaling(*(tensors[field.name] for field in fields(Scaling)))
-        model = cls(Architecture(**settings), scaling, channels, description["Ts"])
+        architecture = Architecture(**settings)
+        model = cls(architecture, scaling, channels, description["Ts"])
+        expected = {name: (tuple(own.shape), architecture.dtype) for name, own in model.named_parameters()}
+        require_arrays(tensors, expected | scaling_arrays(architecture.inputs, architecture.outputs))
         model.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in tensors.items()})
         return model

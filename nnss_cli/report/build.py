@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,9 @@ from nnss_cli.datasets.catalog import BENCHMARKS
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.ablation import Variant
-from nnss_cli.experiment.execute import LIBRARIES
+from nnss_cli.experiment.agreement import Table, agreeing
 from nnss_cli.experiment.order import OrderRow
+from nnss_cli.experiment.provenance import MADE_WITH
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
@@ -55,28 +56,35 @@ from nnss_cli.report.tables import failures, markdown, rmse_markdown, study_rows
 HOUR = 3600.0
 
 
-def write_comparison(store: Store, times: bool = True) -> list[Path]:
+def write_comparison(store: Store, times: bool = True, table: Table | None = None) -> list[Path]:
     """Rebuild rmse.csv, rmse.md and the figures of one dataset and protocol from its runs.
 
     Args:
         store: where the runs are.
         times: whether rmse.csv holds the wall times; without, equal runs give equal files.
+        table: which of them; what agrees unless given.
 
     Returns:
         The files written, figures that have nothing to show left out.
 
     Raises:
-        InputError: there are no runs, or one is damaged.
+        InputError: there are no finished runs.
     """
-    results = store.results()
+    made_of = table or agreeing(store, store.read())
+    results = made_of.results
     if not results:
         raise InputError(f"no finished runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
-    folder = store.folder
-    table = long_table(results)
+    with store.writing():
+        return _write_files(store, made_of, times)
+
+
+def _write_files(store: Store, made_of: Table, times: bool) -> list[Path]:
+    folder, results = store.folder, made_of.results
+    rows = long_table(results)
     if not times:
-        table["fit_seconds"] = None
-    write_text(folder / "rmse.csv", table.to_csv(index=False, lineterminator="\n"))
-    write_text(folder / "rmse.md", rmse_markdown(results))
+        rows["fit_seconds"] = None
+    write_text(folder / "rmse.csv", rows.to_csv(index=False, lineterminator="\n"))
+    write_text(folder / "rmse.md", rmse_markdown(results, made_of.left_out))
     written = [folder / "rmse.csv", folder / "rmse.md"]
     drawn = {
         "boxplot": (_boxplot(results), (".png", ".svg")),
@@ -96,13 +104,21 @@ def write_comparison(store: Store, times: bool = True) -> list[Path]:
     return written
 
 
-def write_report(out: Path, times: bool = True) -> Path:
-    """Rebuild every comparison under `out` and write report.md; `times` as in `write_comparison`.
+def write_report(out: Path, times: bool = True, tell: Callable[[str], None] = lambda _: None) -> Path:
+    """Rebuild every comparison under `out` and write report.md.
+
+    Args:
+        out: folder of results.
+        times: as in `write_comparison`.
+        tell: hears of each run, or group of runs, that is left out because its files are damaged or disagree.
 
     Raises:
-        InputError: there are no runs.
+        InputError: there are no finished runs.
     """
-    found = [store for store in stores(out) if store.results()]
+    tables = {store: agreeing(store, store.read()) for store in stores(out)}
+    for line in (line for table in tables.values() for line in table.left_out):
+        tell(line)
+    found = [store for store, table in tables.items() if table.results]
     if not found:
         raise InputError(f"no finished runs under '{out}': run 'nnss compare DATASET' first, or give --out")
     parts = [
@@ -111,10 +127,10 @@ def write_report(out: Path, times: bool = True) -> Path:
         "output sample, in physical units.",
     ]
     for protocol in sorted({store.protocol for store in found}):
-        parts += _overall([r for store in found if store.protocol == protocol for r in store.results()], protocol, out)
+        parts += _overall([r for s in found if s.protocol == protocol for r in tables[s].results], protocol, out)
     for store in found:
-        files = write_comparison(store, times)
-        parts.append(_section(store, files, out))
+        files = write_comparison(store, times, tables[store])
+        parts.append(_section(store, tables[store].results, files, out))
     path = out / "report.md"
     write_text(path, "\n\n".join(parts) + "\n")
     return path
@@ -189,8 +205,7 @@ def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str
     return [folder / "order.csv", folder / "order.png"]
 
 
-def _section(store: Store, files: Sequence[Path], out: Path) -> str:
-    results = store.results()
+def _section(store: Store, results: Sequence[RunResult], files: Sequence[Path], out: Path) -> str:
     entry = BENCHMARKS.usable(store.dataset)
     table = (store.folder / "rmse.md").read_text(encoding="utf-8")
     parts = [f"## {store.dataset}, protocol `{store.protocol}`"]
@@ -243,9 +258,7 @@ def _section(store: Store, files: Sequence[Path], out: Path) -> str:
 
 
 def _versions(result: RunResult) -> str:
-    return ", ".join(
-        f"{name} {result.provenance.get(name, 'unknown')}" for name in ("nnss", "python", *LIBRARIES, "machine")
-    )
+    return ", ".join(f"{name} {result.provenance.get(name, 'unknown')}" for name in (*MADE_WITH, "machine", "cpu"))
 
 
 def _output_axes(result: RunResult) -> list[figures.Axis]:

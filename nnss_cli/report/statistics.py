@@ -68,10 +68,14 @@ def median_interval(values: Sequence[float], level: float = LEVEL) -> Interval:
     """
     ordered = sorted(values)
     n = len(ordered)
-    k, tail = 1, 0.5**n  # P(B < 1)
-    while k < n and (further := tail + math.comb(n, k) * 0.5**n) <= (1 - level) / 2:
-        k, tail = k + 1, further
-    return Interval(ordered[k - 1], ordered[n - k], max(0.0, 1 - 2 * tail))
+    every = 2**n  # outcomes, counted in whole numbers: from a thousand values on they exceed a float's range
+    k, tail, outcomes = 1, 1, 1  # tail/every = P(B < k), outcomes = n over (k − 1)
+    while k < n:
+        outcomes = outcomes * (n - k + 1) // k
+        if (tail + outcomes) / every > (1 - level) / 2:
+            break
+        k, tail = k + 1, tail + outcomes
+    return Interval(ordered[k - 1], ordered[n - k], max(0.0, 1 - 2 * (tail / every)))
 
 
 def ratio_interval(first: Sequence[float], second: Sequence[float], exact: tuple[bool, bool]) -> Interval:

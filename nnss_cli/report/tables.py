@@ -13,8 +13,8 @@ from tabulate import tabulate
 
 from nnss_cli.datasets.record import FITTED_ON
 from nnss_cli.experiment.ablation import Variant
-from nnss_cli.experiment.execute import LIBRARIES
 from nnss_cli.experiment.order import OrderRow
+from nnss_cli.experiment.provenance import MADE_ON, MADE_WITH
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.tune import Trial
 from nnss_cli.report.aggregate import (
@@ -77,16 +77,17 @@ def versions_apart(results: Sequence[RunResult]) -> list[str]:
         lines.append(
             f"Made with different versions of the data, so not to be compared with the others: {'; '.join(apart)}."
         )
-    for name in ("nnss", "python", *LIBRARIES, "machine"):
+    for name in (*MADE_WITH, *MADE_ON):
         counts = Counter(r.provenance.get(name, "unknown") for r in results)
         if len(counts) > 1:
             found = ", ".join(f"{version} ({count} runs)" for version, count in sorted(counts.items()))
-            lines.append(f"Made with different versions of {name}: {found}.")
+            where = "on different machines, by" if name in MADE_ON else "with different versions of"
+            lines.append(f"Made {where} {name}: {found}.")
     return lines
 
 
-def rmse_markdown(results: Sequence[RunResult]) -> str:
-    """The summary over seeds, one table a split, and the runs that failed."""
+def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) -> str:
+    """The summary over seeds, one table a split, the runs that failed, and those that were left out."""
     first = results[0].spec
     parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
@@ -98,7 +99,9 @@ def rmse_markdown(results: Sequence[RunResult]) -> str:
         apart = rows_of_split(table, split, [name for name in names if is_combination(name)])
         if apart:
             parts.append("Made of runs above, so no independent competitor:\n\n" + markdown(apart))
-    for title, lines in (("Runs without a result", failures(results)), ("Remarks of the fits", remarks(results))):
+    for title, lines in (
+        ("Runs without a result", failures(results)), ("Left out", left_out), ("Remarks of the fits", remarks(results)),
+    ):  # fmt: skip
         if lines:
             parts.append(f"## {title}\n\n" + "\n".join(f"- {line}" for line in lines))
     return "\n\n".join(parts) + "\n"

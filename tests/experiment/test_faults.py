@@ -4,6 +4,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -318,6 +319,19 @@ def test_the_numbers_do_not_depend_on_the_number_of_processes(jobs: int, tmp_pat
     assert len(found[0][0]) == 4
 
 
+def test_files_of_a_run_are_all_flushed_before_any_is_in_place_and_run_json_is_last(
+    method: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[tuple[str, str]] = []
+    flush, place = files._flush, files._into_place
+    monkeypatch.setattr(files, "_flush", lambda path: (done.append(("flushed", path.suffix)), flush(path)))
+    monkeypatch.setattr(files, "_into_place", lambda path, to: (done.append(("in place", to.name)), place(path, to)))
+    run_all(store_in(tmp_path / "out"), seeds=1)
+    assert [what for what, _ in done] == ["flushed"] * 4 + ["in place"] * 4
+    assert done[-1][1] == "run.json"
+    assert {name for _, name in done[4:]} == {"model.json", "model.safetensors", "signals.safetensors", "run.json"}
+
+
 def writes(out: Path) -> list[str]:
     """Every write of a sweep of two runs, in order."""
     seen: list[str] = []
@@ -358,6 +372,44 @@ def test_a_full_disk_at_each_write_loses_nothing_and_is_one_line(
         assert run_all(store, seeds=2) == 2 - last // 4
         assert scores(store) == undisturbed
         assert not faults.leftovers(store.out)
+
+
+def mounts() -> bool:
+    """Whether this system lets us mount a file system of our own."""
+    try:
+        line = ["unshare", "-rm", "mount", "-t", "tmpfs", "none", "/mnt"]
+        return subprocess.run(line, capture_output=True).returncode == 0
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("kilobytes", [*(pytest.param(size, marks=pytest.mark.slow) for size in (40, 350)), 900])
+def test_a_full_file_system_loses_nothing_and_is_one_line(kilobytes: int, method: Path, tmp_path: Path) -> None:
+    """A real one, too small for a run, for six, or for the figures of six; then one with room."""
+    if not mounts():
+        pytest.skip("no user namespaces here: see the writer that fails, above")
+    small, out = tmp_path / "small", tmp_path / "out"
+    small.mkdir()
+    line = faults.command(method, small, seeds=6)
+    mounted = (
+        f'mount -t tmpfs -o size={kilobytes}k none "{small}" && "$@"; code=$?; cp -a "{small}" "{out}"; exit $code'
+    )
+    ended = subprocess.run(["unshare", "-rm", "sh", "-c", mounted, "sh", *line], capture_output=True, text=True)
+    assert ended.returncode == 2, ended.stderr
+    (said,) = ended.stderr.splitlines()
+    assert re.search(rf"cannot write to '{small}[^']*': No space left on device", said)
+    store = store_in(out)
+    if "name another folder" not in said:  # told before the first run
+        assert re.search(r"\([\d,]+ bytes free\)", said)
+        assert len(store.results()) == len(list(out.rglob("run.json")))
+    assert (len(store.results()) < 6) == (kilobytes < 900)
+    assert not store.read().faults
+    kept = {path: path.read_bytes() for path in out.rglob("run.json")}
+    again = outcome(faults.command(method, out, seeds=6))
+    assert again.returncode == 0, again.stderr
+    assert len(store.results()) == 6
+    assert {path: path.read_bytes() for path in kept} == kept
+    assert not faults.leftovers(out)
 
 
 def test_workers_that_cannot_write_end_the_sweep_with_one_line(method: Path, tmp_path: Path) -> None:

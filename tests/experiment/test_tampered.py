@@ -161,6 +161,7 @@ def test_scores_that_disagree_with_the_signals_are_named(sound: Store, tmp_path:
     path = store.run_folder(result.spec) / "signals.safetensors"
     for name, other in (
         ("test/0/y_sim", signals["test/0/y_sim"] * 1.0001),
+        ("test/0/y_sim", signals["test/0/y_sim"] * 1e300),
         ("test/0/y", signals["test/0/y"][:-1]),
         ("test/0/x", signals["test/0/x"].astype(int)),
         ("Ts", np.zeros(1)),
@@ -184,3 +185,34 @@ def test_sizes_are_bounded_before_memory_is_taken(more: tuple[str, ...], nnss: C
     assert "expected at most 100,000,000 weights, found" in told.err
     assert len(told.err.splitlines()) == 1
     assert not Path("results").exists()
+
+
+def test_no_tampered_file_stops_what_is_read_beside_it(sound: Store, tmp_path: Path) -> None:
+    """Whatever is in a run's files, the others are read; it is one line, or as good as it was."""
+    store = copied(sound, tmp_path)
+    whole = store.read().results
+    other = store.folder / "runs" / "n4sid-n2-s1"
+    shutil.copytree(store.folder / "runs" / "n4sid-n2-s0", other)
+    content = json.loads((other / "run.json").read_text())
+    content["spec"]["seed"] = 1
+    (other / "run.json").write_text(json.dumps(content))
+    assert len(store.read().results) == 2
+    signals, draw = (other / "signals.safetensors").read_bytes(), random.Random(3)
+    files = [("run.json", text) for text in mutations(content, 150, random.Random(4))]
+    for _ in range(150):
+        at = draw.randrange(len(signals) if draw.random() < 0.5 else 1500)  # its head is there
+        files.append(
+            ("signals.safetensors", signals[:at] + bytes([signals[at] ^ 1 << draw.randrange(8)]) + signals[at + 1 :])
+        )
+    refused = 0
+    for name, damaged in files:
+        before = (other / name).read_bytes()
+        (other / name).write_bytes(damaged)
+        found = store.read()
+        assert [r for r in found.results if r.spec.seed == 0] == whole
+        for line in found.faults.values():
+            assert "n4sid-n2-s1" in line
+            assert len(line.splitlines()) == 1
+        refused += len(found.faults)
+        (other / name).write_bytes(before)
+    assert refused > len(files) / 2

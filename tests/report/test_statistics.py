@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import binom
 
 from nnss_cli.report.statistics import (
     MIN_RECORDS,
@@ -148,3 +149,13 @@ def test_where_methods_differ_it_is_found() -> None:
 )
 def test_verdicts(ours: float, theirs: float, unit: float, word: str) -> None:
     assert verdict(ours, theirs, unit) == word
+
+
+@pytest.mark.parametrize("n", [7, 100, 1000, 10_000])
+def test_the_interval_of_many_values_is_the_binomials(n: int) -> None:
+    """From 1030 values on the binomial coefficients left the range of a float."""
+    found = median_interval(range(n))
+    k = int(binom.ppf(0.025, n, 0.5))
+    k = k if binom.cdf(k, n, 0.5) <= 0.025 else k - 1  # the largest with P(B ≤ k) ≤ 2.5 %
+    assert (found.low, found.high) == (k, n - 1 - k)
+    assert found.coverage == pytest.approx(1 - 2 * binom.cdf(k, n, 0.5), rel=1e-9)
