@@ -114,7 +114,9 @@ def train_nnss(
             f"budget: {recipe.budget:g} s are too few for one candidate, whose start alone took {clock.elapsed:.1f} s: "
             "give more, or --start random"
         )
-    errors, won, unfinished = {SIMPLEST: taken.error}, [], []
+    errors: dict[str, float] = {SIMPLEST: taken.error}
+    won: list[str] = []
+    unfinished: list[str] = []
     for name in worth_trying(data, order, recipe, first):
         if clock.up:
             unfinished.append(name)
