@@ -16,7 +16,7 @@ MUTANTS ?= 200
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow soak mutants lint format reproduce studies bench clean
+.PHONY: help install demo testdata test test-slow soak mutants lint format reproduce studies benchmarks bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -86,6 +86,16 @@ studies: install ## Ablations and the price of stability, to be followed by `mak
 	for dataset in twotank daisy-powerplant robotarm; do for study in recipe class stability; do \
 	  $(NNSS) ablate $$dataset --study $$study --seeds $(SEEDS) --out $(OUT) $(ARGS) || exit; \
 	done; done
+
+# Record and order; a run of the longest takes some ten minutes.
+OFFICIAL := cascaded-tanks:2 ced:3 silverbox:3 emps:3 wiener-hammerstein:6
+
+benchmarks: install ## The official records beside their published errors, five seeds: SEEDS=5
+	for pair in $(OFFICIAL); do \
+	  $(NNSS) compare $${pair%:*} --orders $${pair#*:} --seeds $(if $(filter file,$(origin SEEDS)),5,$(SEEDS)) \
+	    --methods nnss nnss-ensemble ssest --out $(OUT)/official $(ARGS) || [ $$? = 1 ] || exit; \
+	done
+	$(NNSS) report --out $(OUT)/official
 
 bench: install ## Engines and N4SID against other ways to do it, as ratios in one run; ARGS='--jax --torch-compile'
 	$(BIN)/python benchmarks/training.py $(ARGS)

@@ -1,4 +1,4 @@
-"""The README's example, as another package that is really installed."""
+"""The example of docs/extending.md, as another package that is really installed."""
 
 import os
 import re
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 def readme_blocks() -> dict[str, str]:
     """File name → contents, of the section about plug-ins."""
-    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Adding a method")[2].partition("\n## ")[0]
+    section = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```(python|toml)\n(.*?)```", section, re.DOTALL)
     return {
         "pyproject.toml" if language == "toml" else re.match(r'"""(\S+)"""', text)[1]: text for language, text in blocks
@@ -72,7 +72,7 @@ def test_the_readmes_method_obeys_the_laws(installed: Path, tmp_path: Path) -> N
 
 
 def readme_module() -> Any:
-    """The README's method, executed here: no package, not registered."""
+    """That method, executed here: no package, not registered."""
     module = ModuleType("readme_method")
     sys.modules[module.__name__] = module
     exec(readme_blocks()["their_package.py"], vars(module))
