@@ -17,7 +17,7 @@ FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 # Each may import what stands before it, and itself.
 LAYERS = [
     "version", "machine", "errors", "files", "modelfile", "iterative", "plugins", "datasets", "baselines", "model",
-    "training", "methods", "experiment", "testing", "report", "commands", "app", "__main__",
+    "training", "methods", "experiment", "trained", "testing", "report", "commands", "app", "__main__",
 ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors, write_model
 
@@ -30,6 +30,11 @@ class Ensemble:
     def Ts(self) -> float:
         """Sampling time [s]."""
         return self.members[0].Ts
+
+    @property
+    def scaling(self) -> Scaling:
+        """Between physical and normalised units; all members have the same."""
+        return self.members[0].scaling
 
     @classmethod
     def chosen(cls, candidates: Sequence[NNSS], data: FittingData) -> Ensemble:
