@@ -75,8 +75,8 @@ def _read_description(folder: Path) -> dict[str, Any]:
         raise InputError(f"'{path}': format: expected a whole number from 1, found {version!r:.60}; train it again")
     if version > FORMAT:
         raise InputError(
-            f"'{path}' is of format {version}, this nnss reads up to {FORMAT}: install the nnss that wrote it or a later "
-            "one"
+            f"'{path}' is of format {version}, this nnss reads up to {FORMAT}: install the nnss that wrote "
+            "it, or a later one"
         )
     return description
 
