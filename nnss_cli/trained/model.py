@@ -17,7 +17,9 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.origin import Origin, read_origin
 from nnss_cli.experiment.store import records_of
 from nnss_cli.methods import Model, load_model
-from nnss_cli.trained.signals import as_samples
+from nnss_cli.system import System
+from nnss_cli.trained.linear import Equilibrium, Frozen, equilibrium, frozen, linearised, to_control
+from nnss_cli.trained.signals import as_samples, as_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,24 +74,115 @@ class TrainedModel:
         o = self.origin
         return f"{o.method}, order {o.order}, seed {o.seed}, trained on {o.dataset} ({o.protocol})"
 
-    def simulate(self, u: Any, y_init: Any) -> Simulation:
-        """Free simulation from the x(0) that explains the first output samples best.
+    @cached_property
+    def system(self) -> System:
+        """The model in elementary operations: what is linearised and exported.
+
+        Raises:
+            InputError: it has no such form, as models of plug-ins may not.
+        """
+        elementary = getattr(self.model, "elementary", None)
+        if elementary is None:
+            raise InputError(
+                f"{type(self.model).__name__}: expected a model with `elementary()` (nnss_cli.system), found one "
+                "without: it can be simulated from first outputs, not linearised or exported"
+            )
+        system: System = elementary()
+        return system
+
+    def simulate(self, u: Any, y_init: Any = None, x0: Any = None) -> Simulation:
+        """Free simulation: from first outputs, from a state, or at rest.
 
         Args:
             u: inputs (K, r), physical units; (K,) for one input; lists and pandas objects, too.
-            y_init: first output samples (w, m), physical units, w ≤ K. For one output (w,) or a number, for several
-                outputs (m,) for one sample.
+            y_init: first output samples (w, m), physical units, w ≤ K, which x(0) explains best. For one output (w,) or
+                a number, for several outputs (m,) for one sample.
+            x0: x(0) (n,) instead, or z(0) as `initial_state` gives it. With neither, the model is at rest under u(0).
 
         Returns:
             y (K, m) in physical units and x (K, n).
 
         Raises:
-            InputError: other channels, values that are not finite, no samples, or more first outputs than inputs.
+            InputError: other channels, values that are not finite, no samples, more first outputs than inputs, or no
+                equilibrium under u(0).
         """
         inputs = as_samples("u", u, self.channels.inputs)
-        return self.model.simulate(inputs, self.first_outputs(y_init))
+        if y_init is not None and x0 is not None:
+            raise InputError("expected first outputs y_init or a state x0, found both: leave one out")
+        if y_init is not None:
+            return self.model.simulate(inputs, self._first_outputs(y_init))
+        z0 = equilibrium(self.system, inputs[0]).z if x0 is None else self._state("x0", x0)
+        y, z = self.system.simulate(inputs, z0)
+        return Simulation(y, z[:, : self.order])
 
-    def first_outputs(self, y_init: Any) -> FloatArray:
+    def initial_state(self, u: Any, y_init: Any) -> FloatArray:
+        """z(0) (N,) from which `simulate` starts: x(0) of every member, and the output before (see `nnss_cli.system`).
+
+        Args:
+            u: inputs (K, r), K ≥ w.
+            y_init: first output samples, as in `simulate`.
+        """
+        first = self._first_outputs(y_init)
+        inputs = as_samples("u", u, self.channels.inputs)[: len(first)]
+        members = getattr(self.model, "members", (self.model,))
+        x = np.concatenate([member.simulate(inputs, first).x[0] for member in members])
+        return self.system.state(x, first[0])
+
+    def matrices(self, x: Any, u: Any = None, y_previous: Any = None) -> Frozen:
+        """A(x), B(x), C(x), D(x) frozen at a state. They are no linearisation: see `linearise`.
+
+        Args:
+            x: the model's own state (n,), as `simulate` gives it; of an ensemble, those of all members.
+            u: input (r,), where the matrices are scheduled on it; else the mean input.
+            y_previous: output before (m,), physical units, likewise; else the mean output.
+
+        Raises:
+            InputError: x is of another length, or a value is no finite number.
+        """
+        s = self.system
+        at = as_values("x", x, s.state_names[: s.n])
+        y = s.y_mean if y_previous is None else as_values("y_previous", y_previous, self.channels.outputs)
+        return frozen(s, s.state(at, y), s.u_mean if u is None else as_values("u", u, self.channels.inputs))
+
+    def equilibrium(self, u: Any) -> Equilibrium:
+        """Where a constant input (r,), physical units, holds the model.
+
+        Raises:
+            InputError: there is no equilibrium.
+        """
+        return equilibrium(self.system, as_values("u", u, self.channels.inputs))
+
+    def linearise(self, u: Any) -> Any:
+        """The Jacobians at the equilibrium under a constant input, as a control.StateSpace.
+
+        Args:
+            u: input (r,), physical units; a number for one.
+
+        Returns:
+            Discrete time, with the channels' names; inputs, outputs and states are deviations from the equilibrium.
+
+        Raises:
+            InputError: there is no equilibrium.
+        """
+        return linearised(self.system, self.channels, self.Ts, as_values("u", u, self.channels.inputs))
+
+    def to_control(self) -> Any:
+        """The whole model as a control.NonlinearIOSystem in discrete time and physical units.
+
+        Its response from `initial_state` is that of `simulate`.
+        """
+        return to_control(self.system, self.channels, self.Ts)
+
+    def _state(self, what: str, values: Any) -> FloatArray:
+        s = self.system
+        if s.outputs_kept and np.size(values) == s.n:
+            raise InputError(
+                f"{what}: expected {s.size} values, {', '.join(s.state_names)}, since the model is scheduled on the "
+                f"previous output, found {s.n}"
+            )
+        return as_values(what, values, s.state_names)
+
+    def _first_outputs(self, y_init: Any) -> FloatArray:
         """First output samples (w, m) of what a user may give for them; see `simulate`."""
         outputs = self.channels.outputs
         if len(outputs) > 1 and not hasattr(y_init, "columns") and np.ndim(y_init) == 1:

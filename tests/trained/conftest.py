@@ -3,13 +3,18 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from nnss_cli.datasets.record import Channels, Scaling
 
 from nnss_cli.experiment.execute import execute
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import select
+from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.nnss import NNSS
 from nnss_cli.testing import small_dataset
+from nnss_cli.trained import TrainedModel
 
 
 @pytest.fixture(scope="session")
@@ -28,3 +33,30 @@ def trained_folder(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Pa
         return made[key]
 
     return folder
+
+
+@pytest.fixture(scope="session")
+def untrained() -> Callable[..., TrainedModel]:
+    """An NN-SS model of random weights and scaling."""
+
+    def made(
+        stability: str = "schur",
+        scheduling: str = "x",
+        n: int = 2,
+        r: int = 1,
+        m: int = 1,
+        seed: int = 0,
+        **more: object,
+    ) -> TrainedModel:
+        random = np.random.default_rng(seed)
+        scaling = Scaling(
+            random.normal(size=r), random.uniform(0.5, 2, r), random.normal(size=m), random.uniform(0.5, 2, m)
+        )
+        inputs, outputs = tuple(f"u{i + 1}" for i in range(r)), tuple(f"y{i + 1}" for i in range(m))
+        choices = {"hidden": (6,), "encoder": (4,), "dtype": "float64", "gamma": 0.97} | more
+        a = Architecture(n, r, m, scheduling=scheduling, stability=stability, **choices)
+        model = NNSS(a, scaling, Channels(inputs, outputs, ("V",) * r, ("m",) * m), 0.1)
+        model.initialise(random)
+        return TrainedModel(model)
+
+    return made
