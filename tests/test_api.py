@@ -12,7 +12,7 @@ import nnss_cli
 from nnss_cli.errors import InputError
 from nnss_cli.testing import small_dataset
 
-QUICK = {"engine": "reference", "epochs": 1, "hidden": [3], "encoder": [2]}
+QUICK = {"epochs": 1, "hidden": [3], "encoder": [2]}
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_fit_opens_what_it_trained(plant: str) -> None:
 def test_a_fit_without_a_model_says_why(plant: str) -> None:
     from nnss_cli.api import NoModelError
 
-    wild = QUICK | {"recipe": "paper", "learning_rate": 1e38, "stability": "none", "window": 20, "epochs": 5}
+    wild = QUICK | {"recipe": "paper", "learning_rate": 1e38, "window": 20, "epochs": 5}
     with pytest.raises(NoModelError, match="nnss-n1-s0 diverged: "):
         nnss_cli.fit(
             plant,
