@@ -23,7 +23,7 @@ from nnss_cli.files import write_text
 from nnss_cli.trained import TrainedModel
 
 TOLERANCES = {"double": 1e-12, "float": 1e-5}
-FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2")
+FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O3")
 
 _ROOT = """
 static real root(real a)

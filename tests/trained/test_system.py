@@ -30,7 +30,7 @@ def signals(model: TrainedModel, K: int = 40, seed: int = 1) -> tuple[np.ndarray
 
 def largest_error(model: TrainedModel, w: int = 1) -> float:
     """Of the program against the model's own simulation, relative to the outputs."""
-    u, y_init = signals(model)
+    u, y_init = signals(model, 16)
     expected = model.simulate(u, y_init[:w]).y
     y, _ = model.system.simulate(u, model.initial_state(u, y_init[:w]))
     return float(np.abs(y - expected).max() / max(1.0, np.abs(expected).max()))
