@@ -80,8 +80,8 @@ def main() -> None:
         right.plot(t, by_jacobian, color="#0072B2")
         right.set_xlabel("time [s]")
         right.set_ylabel(f"step response at {given.at:g} {model.channels.input_units[0]} [{unit}]")
-        for panel in (left, right):
-            panel.legend(loc="lower right", fontsize=8)
+        handles, labels = (a + b for a, b in zip(*(p.get_legend_handles_labels() for p in (left, right)), strict=True))
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     save_figure(figure, given.out)
 
 
