@@ -16,7 +16,7 @@ MUTANTS ?= 200
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow soak mutants lint format reproduce studies benchmarks bench clean
+.PHONY: help install demo testdata test test-slow soak mutants lint format docs reproduce studies benchmarks bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -96,6 +96,11 @@ benchmarks: install ## The official records beside their published errors, five 
 	    --methods nnss nnss-ensemble ssest --out $(OUT)/official $(ARGS) || [ $$? = 1 ] || exit; \
 	done
 	$(NNSS) report --out $(OUT)/official
+
+docs: install ## The docs folder as a site, strictly, in build/site; the tutorial is run
+	@$(PIP) --editable '.[tune,certify,test,lint,docs]'
+	$(BIN)/mkdocs build --strict
+	$(BIN)/python -m pytest -q tests/test_site.py -m "slow or not slow"
 
 bench: install ## Engines and N4SID against other ways to do it, as ratios in one run; ARGS='--jax --torch-compile'
 	$(BIN)/python benchmarks/training.py $(ARGS)

@@ -275,17 +275,3 @@ def dataset_of(experiments: Experiments) -> Dataset:
         experiments.init_window,
     )  # fmt: skip
     return Dataset(fitting, dict(experiments.tests), experiments.notes)
-
-
-def record_of_channels(path: Path, channels: Channels, Ts: float) -> Record:
-    """A file with a column for each of a model's channels, by their names; other columns are ignored.
-
-    Raises:
-        InputError: it cannot be read, a column is missing, or a value is not a finite number.
-    """
-    names = (*channels.inputs, *channels.outputs)
-    table = read_table(path, names)
-    values = np.column_stack([numbers(table, name) for name in names])
-    check_complete(values, names, lambda k: place(table, k))
-    r = len(channels.inputs)
-    return Record(values[:, :r], values[:, r:], Ts)

@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
+from nnss_cli.commands.options import ModelFolder
+
 
 def command(
-    model: Annotated[Path, typer.Argument(help="Folder of a run, as `nnss train` prints it.", metavar="MODEL")],
+    model: ModelFolder,
     data: Annotated[
         Path | None,
         typer.Option(
@@ -25,18 +27,18 @@ def command(
     All values are in the model's normalised units. Exit code 1 when a promised bound is broken.
     """
     from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.datasets.experiments import record_of_channels
     from nnss_cli.experiment.certify import certify
     from nnss_cli.experiment.store import records_of
-    from nnss_cli.methods import load_model
     from nnss_cli.report.tables import certificate_rows, stress_rows
+    from nnss_cli.trained import load, read_record
 
-    loaded = load_model(model)
+    trained = load(model)
+    assert trained.folder is not None
     if data is None:
-        splits = records_of(model, loaded.Ts)
+        splits = records_of(trained.folder, trained.Ts)
     else:
-        splits = {"data": (record_of_channels(data, loaded.channels, loaded.Ts),)}
-    found = certify(loaded, splits, steps)
+        splits = {"data": (read_record(trained, data),)}
+    found = certify(trained.model, splits, steps)
     if as_json:
         typer.echo(json.dumps(found.to_json(), indent=2, ensure_ascii=False))
     else:

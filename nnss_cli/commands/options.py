@@ -129,6 +129,19 @@ AsJson = Annotated[
     bool | None, typer.Option("--json", help="Print events for machines: one JSON object a line (docs/reliability.md).")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
+ModelFolder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL", help="Folder of a run, as `nnss train` prints it; or of results (--out) with one model."
+    ),
+]
+FileTime = Annotated[
+    str | None, typer.Option("--time", metavar="COLUMN", help="Column of the time, checked against the model.")
+]
+FileTs = Annotated[
+    float | None, typer.Option("--ts", metavar="SECONDS", help="Sampling time of the file, checked against the model.")
+]
+FileSheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="Sheet of an Excel file.")]
 
 MAX_JOBS = 1024
 """Processes of one machine."""
@@ -204,7 +217,7 @@ def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
     def wrapper(**given: Any) -> None:
         flags = {name: given.pop(name) for name in FIT_OPTIONS}
         assignments = given.pop("assignments") or []
-        from nnss_cli.commands.changes import gathered
+        from nnss_cli.experiment.changes import gathered
 
         changes = gathered(
             {

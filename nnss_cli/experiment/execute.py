@@ -9,6 +9,7 @@ import numpy as np
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.origin import write_origin
 from nnss_cli.experiment.provenance import Watch
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
@@ -87,14 +88,17 @@ def execute(
             status, reason = "failed", f"its simulation failed: {sentence(error)}"
         if status != "ok":
             scores = []
+    made = watch.provenance(command)
     result = RunResult(
-        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), watch.provenance(command), fit.history,
+        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), made, fit.history,
         asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
     )  # fmt: skip
-    with store.writing(), together():
+    with store.writing():
         if fit.model is not None:
             fit.model.save(store.run_folder(spec))
-        store.write(result, signals)
+            write_origin(store.run_folder(spec), spec, dataset.fitting.init_window, made, dataset.notes, fit.remarks)
+        with together():
+            store.write(result, signals)
     return result
 
 
