@@ -6,10 +6,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation, first_outputs
 
 from nnss_cli.modelfile import Tensors, write_model
+from nnss_cli.system import Parts, System, system_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,23 @@ class LinearModel:
         x0 = self.system.state_from_outputs(self.scaling.normalise_y(known), u_scaled)
         y, x = self.system.simulate(u_scaled, x0)
         return Simulation(self.scaling.restore_y(y), x)
+
+    def elementary(self) -> System:
+        """The model in elementary operations and physical units."""
+        s = self.system
+        inverse = np.linalg.pinv(s.C)
+        parts = Parts(
+            advance=lambda x, u, _: (
+                x.constant(s.A) @ x + x.constant(s.B) @ u,
+                x.constant(s.C) @ x + x.constant(s.D) @ u,
+            ),
+            initial=lambda y0, u0: y0.constant(inverse) @ y0 - y0.constant(inverse @ s.D) @ u0,
+            frozen=lambda x, *_: tuple(x.constant(matrix) for matrix in (s.A, s.B, s.C, s.D)),
+            n=s.order,
+            keeps_output=False,
+            feedthrough=bool(s.D.any()),
+        )
+        return system_of([parts], self.scaling)
 
     def save(self, folder: Path) -> None:
         """Write model.json and model.safetensors into `folder`."""

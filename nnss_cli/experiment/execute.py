@@ -11,6 +11,7 @@ from importlib import metadata
 import numpy as np
 
 from nnss_cli.datasets.record import Dataset
+from nnss_cli.experiment.origin import write_origin
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
 from nnss_cli.iterative import EpochCallback
@@ -75,6 +76,7 @@ def execute(
     except MemoryError as error:
         status, reason = "memory", sentence(error)
     fit_seconds = time.perf_counter() - started + trained
+    made = provenance()
     if fit.model is not None:
         try:
             scores, signals = simulate_splits(fit.model, dataset)
@@ -90,8 +92,9 @@ def execute(
             scores = []
         with store.writing():
             fit.model.save(store.run_folder(spec))
+            write_origin(store.run_folder(spec), spec, dataset.fitting.init_window, made, dataset.notes, fit.remarks)
     result = RunResult(
-        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), provenance(), fit.history,
+        spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), made, fit.history,
         asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
     )  # fmt: skip
     store.write(result, signals)

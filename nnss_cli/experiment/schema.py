@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -24,15 +27,9 @@ def parse_result(text: bytes) -> RunResult:
     Raises:
         ValueError: no JSON, a field is missing, unknown or of another type, or the fields contradict each other.
     """
-    from pydantic import ValidationError
-
-    try:
+    with _one_line():
         result = _adapter(RunResult).validate_json(text, strict=True)
         channels = _adapter(Channels).validate_python(result.channels)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where}: {' '.join(first['msg'].split())}, found {first['input']!r:.80}") from error
     _require(isinstance(result, RunResult) and isinstance(channels, Channels), "it is no run")
     _require(result.spec.order >= 1 and result.spec.seed >= 0, "order and seed: expected at least 1 and 0")
     _require(
@@ -57,6 +54,28 @@ def parse_result(text: bytes) -> RunResult:
             all(map(math.isfinite, values)) and min(values[:2]) >= 0, "scores: expected finite errors, not negative"
         )
     return result
+
+
+def validated(kind: type, content: Any) -> Any:
+    """A dataclass from plain data that was read from disk.
+
+    Raises:
+        ValueError: a field is missing, unknown or of another type.
+    """
+    with _one_line():
+        return _adapter(kind).validate_json(json.dumps(content), strict=True)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    from pydantic import ValidationError
+
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{where}: {' '.join(first['msg'].split())}, found {first['input']!r:.80}") from error
 
 
 def check_place(result: RunResult, dataset: str, protocol: str, label: str) -> None:

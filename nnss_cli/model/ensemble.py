@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Simulation
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors, write_model
+from nnss_cli.system import System, system_of
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class Ensemble:
     def Ts(self) -> float:
         """Sampling time [s]."""
         return self.members[0].Ts
+
+    @property
+    def scaling(self) -> Scaling:
+        """Between physical and normalised units; all members have the same."""
+        return self.members[0].scaling
 
     @classmethod
     def chosen(cls, candidates: Sequence[NNSS], data: FittingData) -> Ensemble:
@@ -53,6 +59,10 @@ class Ensemble:
         """Free simulation of inputs (K, r) from the first output samples (w, m), physical units."""
         simulations = [member.simulate(u, y_init) for member in self.members]
         return Simulation(np.mean([simulation.y for simulation in simulations], axis=0), simulations[0].x)
+
+    def elementary(self) -> System:
+        """All members in elementary operations and physical units, float64; z holds the states of all of them."""
+        return system_of([member.elementary_parts() for member in self.members], self.scaling)
 
     def save(self, folder: Path) -> None:
         """Write model.json and model.safetensors into `folder`; tensors are named <member>/<name>."""

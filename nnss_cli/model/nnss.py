@@ -23,9 +23,11 @@ from torch import Tensor, nn
 
 from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation, first_outputs
 from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.elementary_step import nnss_parts
 from nnss_cli.model.initial import SINGULAR, response, state_from_window
 from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, write_model
+from nnss_cli.system import Parts, System, system_of
 
 
 class NNSS(nn.Module):
@@ -181,6 +183,14 @@ class NNSS(nn.Module):
         known = torch.tensor(scaling.normalise_y(first_outputs(y_init, u, self.architecture.outputs)), dtype=self.dtype)
         y, x = self(u_scaled, known[:1], x0=self.initial_state(u_scaled[0], known))
         return Simulation(scaling.restore_y(y[0].numpy().astype(np.float64)), x[0].numpy().astype(np.float64))
+
+    def elementary_parts(self) -> Parts:
+        """Its formulas in elementary operations, in normalised units."""
+        return nnss_parts(self.architecture, {name: tensor.numpy() for name, tensor in self.state_dict().items()})
+
+    def elementary(self) -> System:
+        """The model in elementary operations and physical units, float64 whatever its own precision."""
+        return system_of([self.elementary_parts()], self.scaling)
 
     def to_file(self) -> tuple[dict[str, Any], Tensors]:
         """What is kept of the model on disk: its description and its arrays."""

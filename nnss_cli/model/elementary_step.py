@@ -1,0 +1,84 @@
+"""NN-SS in elementary operations: the formulas of `nnss_cli.model.nnss` and `nnss_cli.model.schur` without a solver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from nnss_cli.baselines.schur import schur_margin
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.elementary import Expression, cholesky, dense, rows, solve, solve_lower, solve_upper
+from nnss_cli.model.architecture import Architecture
+from nnss_cli.system import Parts
+
+
+def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
+    """The formulas of an NN-SS model in normalised units.
+
+    Args:
+        a: its architecture.
+        weights: its arrays by name, as they are kept on disk; those of lower precision count as they are.
+    """
+    n, r, m = a.order, a.inputs, a.outputs
+    arrays = {name: np.asarray(array, dtype=np.float64) for name, array in weights.items()}
+    generator, encoder = (
+        [(arrays[f"{network}.{i}.weight"], arrays[f"{network}.{i}.bias"]) for i in numbers]
+        for network, numbers in (
+            ("generator", range(0, 2 * len(a.hidden) + 1, 2)),
+            ("encoder", range(len(a.encoder) + 1)),
+        )
+    )
+    scheduled = a.scheduling.split("+")
+    E, e = np.eye(m), np.zeros(m)  # a chain of linear layers is one
+    for weight, bias in encoder:
+        E, e = weight @ E, weight @ e + bias
+
+    def generated(x: Expression, u: Expression, y: Expression) -> tuple[Expression, ...]:
+        """W (2n, 2n), V (n, n), B (n, r), C (m, n) and D (m, r)."""
+        h = rows(x, *[u] * ("u" in scheduled), *[y] * ("y" in scheduled))
+        for weight, bias in generator[:-1]:
+            h = dense(weight, bias, h).sigmoid()
+        theta = dense(*generator[-1], h)
+        shapes = ((2 * n, 2 * n), (n, n), (n, r), (m, n), (m, r))
+        ends = accumulate(a.parameter_sizes, initial=0)
+        found = [
+            theta[i:j, :].reshape(*shape) if j > i else x.constant(np.zeros(shape))
+            for (i, j), shape in zip(pairwise(ends), shapes, strict=True)
+        ]
+        return tuple(found)
+
+    def times_A(W: Expression, V: Expression, b: Expression) -> Expression:
+        """A b, for b (n, c)."""
+        if a.stability == "none":
+            return W[:n, :n] @ b
+        gram = W.T @ W
+        size = (W * W).sum() / float(2 * n)  # tr(WᵀW)/2n
+        one = np.eye(n)
+        if a.stability == "schur":
+            K = V - V.T
+            margin = schur_margin(n, a.dtype)
+            added = (size + (K * K).sum().root() / math.sqrt(2)) * margin + a.epsilon
+            S11, S22 = gram[:n, :n] + added * b.constant(one), gram[n:, n:] + added * b.constant(one)
+            M = (S11 / a.gamma**2 + S22) * 0.5 + K
+            return gram[:n, n:] @ solve(M, b)
+        added = (size + 1.0) * a.epsilon
+        L1, L2 = (cholesky(part + added * b.constant(one)) for part in (gram[:n, :n], gram[n:, n:]))
+        return solve_lower(L1, gram[:n, n:] @ solve_upper(L2, b)) * a.gamma
+
+    def advance(x: Expression, u: Expression, y: Expression) -> tuple[Expression, Expression]:
+        W, V, B, C, D = generated(x, u, y)
+        output = C @ x
+        return times_A(W, V, x) + B @ u, output + D @ u if a.feedthrough else output
+
+    def frozen(x: Expression, u: Expression, y: Expression) -> tuple[Expression, ...]:
+        W, V, B, C, D = generated(x, u, y)
+        return times_A(W, V, x.constant(np.eye(n))), B, C, D
+
+    def initial(y0: Expression, u0: Expression) -> Expression:
+        del u0
+        return dense(E, e, y0)
+
+    return Parts(advance, initial, frozen, n, "y" in scheduled, a.feedthrough)

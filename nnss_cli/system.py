@@ -1,0 +1,183 @@
+"""A model as a state-space system in elementary operations and physical units: what is linearised and exported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnss_cli.elementary import Expression, Program, columns, rows, trace
+
+Array: TypeAlias = NDArray[Any]
+
+STEP_SIZE = 1e-30
+"""Of complex-step derivatives: too small to leave any rounding, far above underflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """z(k+1) = f(z(k), u(k)), y(k) = h(z(k), u(k)).
+
+    u and y are physical. z = [x; y(k−1)]: x the model's own states, which belong to normalised signals, and below
+    them, where the matrices are scheduled on it, the previous output in physical units, once for each member.
+    """
+
+    step: Program
+    """z (N, 1), u (r, 1) → z_next (N, 1), y (m, 1)."""
+    initial: Program
+    """y0 (m, 1), u0 (r, 1) → z (N, 1): the start from the first sample alone."""
+    frozen: Program
+    """z, u → A (n, n), B (n, r), C (m, n), D (m, r): x(k+1) = A x + B (u − ū), y = C x + D (u − ū) + ȳ."""
+    n: int
+    """Number of states x."""
+    outputs_kept: int
+    """Number of previous outputs in z: 0, m, or m for each member of an ensemble."""
+    inputs: int
+    """Number of inputs r."""
+    outputs: int
+    """Number of outputs m."""
+    u_mean: Array
+    """ū (r,), physical units."""
+    y_mean: Array
+    """ȳ (m,), physical units."""
+    feedthrough: bool
+    """Whether y(k) depends on u(k) through a D."""
+
+    @property
+    def size(self) -> int:
+        """N, the length of z."""
+        return self.n + self.outputs_kept
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """x1 …, then y_previous1 …"""
+        return (
+            *(f"x{i + 1}" for i in range(self.n)),
+            *(f"y_previous{i + 1}" for i in range(self.outputs_kept)),
+        )
+
+    def start(self, y0: Array, u0: Array) -> Array:
+        """z(0) (N,) from one output sample (m,) and its input (r,)."""
+        return np.asarray(self.initial(y0=y0[:, None], u0=u0[:, None])["z"][:, 0])
+
+    def state(self, x: Array, y_previous: Array) -> Array:
+        """z (N,) of states x (n,) and the output before (m,)."""
+        return np.concatenate([x, np.tile(y_previous, self.outputs_kept // self.outputs)])
+
+    def advance(self, z: Array, u: Array) -> tuple[Array, Array]:
+        """z(k+1) (…, N) and y(k) (…, m) from z (…, N) and u (…, r)."""
+        found = self.step(z=z[..., None], u=u[..., None])
+        return found["z_next"][..., 0], found["y"][..., 0]
+
+    def simulate(self, u: Array, z0: Array) -> tuple[Array, Array]:
+        """y (K, m) and z (K, N) of inputs u (K, r) from z0 (N,)."""
+        y, states = np.empty((len(u), self.outputs)), np.empty((len(u), self.size))
+        z = z0
+        for k in range(len(u)):
+            states[k] = z
+            z, y[k] = self.advance(z, u[k])
+        return y, states
+
+    def jacobians(self, z: Array, u: Array) -> tuple[Array, Array, Array, Array]:
+        """∂f/∂z (N, N), ∂f/∂u (N, r), ∂h/∂z (m, N), ∂h/∂u (m, r) at z (N,) and u (r,), to the last digits.
+
+        By the complex step: a program is analytic, so Im f(z + ih)/h is its derivative without any difference taken
+        (W. Squire and G. Trapp, SIAM Review 40(1), 1998).
+        """
+        N, r = self.size, self.inputs
+        directions = STEP_SIZE * 1j * np.eye(N + r)
+        moved, y = self.advance(z + directions[:, :N], u + directions[:, N:])
+        F, H = moved.imag.T / STEP_SIZE, y.imag.T / STEP_SIZE
+        return F[:, :N], F[:, N:], H[:, :N], H[:, N:]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """One model's formulas in normalised units, of which `system_of` makes a system in physical ones."""
+
+    advance: Any
+    """x (n, 1), ũ (r, 1), ỹ(k−1) (m, 1) → x(k+1), ỹ(k)."""
+    initial: Any
+    """ỹ(0), ũ(0) → x(0)."""
+    frozen: Any
+    """x, ũ, ỹ(k−1) → A, B, C, D in normalised units."""
+    n: int
+    """Number of states."""
+    keeps_output: bool
+    """Whether ỹ(k−1) is used."""
+    feedthrough: bool
+    """Whether there is a D."""
+
+
+def system_of(members: Sequence[Parts], scaling: Any) -> System:
+    """The system of one model, or of several whose outputs are averaged.
+
+    Args:
+        members: at least one, all of the same signals.
+        scaling: of `nnss_cli.datasets.record.Scaling`, the same for all.
+    """
+    u_mean, u_std, y_mean, y_std = (
+        np.asarray(part, dtype=np.float64)[:, None]
+        for part in (scaling.u_mean, scaling.u_std, scaling.y_mean, scaling.y_std)
+    )
+    r, m = len(u_mean), len(y_mean)
+    keeping = [member for member in members if member.keeps_output]
+    n = sum(member.n for member in members)
+
+    def split(z: Expression) -> list[tuple[Expression, Expression]]:
+        """x and ỹ(k−1) of each member; one that does not use the output gets any."""
+        found, at, kept = [], 0, n
+        for member in members:
+            x = z[at : at + member.n, :]
+            at += member.n
+            if member.keeps_output:
+                y = (z[kept : kept + m, :] - y_mean) / y_std
+                kept += m
+            else:
+                y = z.constant(np.zeros((m, 1)))
+            found.append((x, y))
+        return found
+
+    def mean(values: Sequence[Expression]) -> Expression:
+        total = values[0]
+        for value in values[1:]:
+            total = total + value
+        return total / float(len(values)) if len(values) > 1 else total
+
+    def step(z: Expression, u: Expression) -> dict[str, Expression]:
+        u = (u - u_mean) / u_std
+        moved = [member.advance(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
+        y = [own * y_std + y_mean for _, own in moved]
+        kept = [own for own, member in zip(y, members, strict=True) if member.keeps_output]
+        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": mean(y)}
+
+    def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
+        y, u = (y0 - y_mean) / y_std, (u0 - u_mean) / u_std
+        return {"z": rows(*(member.initial(y, u) for member in members), *[y0] * len(keeping))}
+
+    def frozen(z: Expression, u: Expression) -> dict[str, Expression]:
+        u = (u - u_mean) / u_std
+        found = [member.frozen(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
+        A = [
+            columns(*(own if i == j else z.constant(np.zeros((own.shape[0], members[j].n))) for j in range(len(found))))
+            for i, (own, *_) in enumerate(found)
+        ]
+        to_output, from_input = z.constant(np.diag(y_std[:, 0])), z.constant(np.diag(1 / u_std[:, 0]))
+        count = float(len(found))
+        return {
+            "A": rows(*A),
+            "B": rows(*(B @ from_input for _, B, _, _ in found)),
+            "C": to_output @ columns(*(C / count for _, _, C, _ in found)),
+            "D": to_output @ mean([D for *_, D in found]) @ from_input,
+        }
+
+    N = n + m * len(keeping)
+    return System(
+        trace(step, z=(N, 1), u=(r, 1)),
+        trace(initial, y0=(m, 1), u0=(r, 1)),
+        trace(frozen, z=(N, 1), u=(r, 1)),
+        n, N - n, r, m, u_mean[:, 0], y_mean[:, 0], any(member.feedthrough for member in members),
+    )  # fmt: skip

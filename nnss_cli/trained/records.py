@@ -1,0 +1,134 @@
+"""Files opened for a trained model: columns by its channels' names, its sampling time, its init window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nnss_cli.datasets.formats import numbers, place, read_table, times
+from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
+from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.errors import InputError
+from nnss_cli.trained.model import TrainedModel
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What a simulation needs of a file: all inputs, and outputs as far as they are there."""
+
+    u: FloatArray
+    """Inputs (K, r), physical units."""
+    y_init: FloatArray | None
+    """First output samples (w, m), physical units; None where they were not asked for."""
+    y: FloatArray | None
+    """Outputs (K, m) where every one of them is there, to be compared with; else None."""
+
+
+def read_record(
+    model: TrainedModel,
+    path: str | Path,
+    *,
+    time: str | int | None = None,
+    Ts: float | None = None,
+    sheet: str | int | None = None,
+) -> Record:
+    """A file's inputs and outputs, complete, as a record for a model.
+
+    Args:
+        model: tells the columns by its channels' names; other columns are ignored.
+        path: of any format that a record may have (docs/own-data.md).
+        time: column of the time; it must be uniform, with the model's sampling time to 0.1 %.
+        Ts: sampling time of the file [s], to be checked likewise; the model's where neither is given.
+        sheet: of an Excel file.
+
+    Raises:
+        InputError: it cannot be read; a column is missing; another sampling time; missing samples; too short for the
+            model's init window. One line each.
+    """
+    path = Path(path)
+    names = (*model.channels.inputs, *model.channels.outputs)
+    values, table = _columns(model, path, names, time, Ts, sheet)
+    check_complete(values, names, lambda k: place(table, k))
+    _check_length(path, len(values), model.init_window + (model.init_window > 1), model.init_window)
+    r = len(model.channels.inputs)
+    return Record(values[:, :r], values[:, r:], model.Ts)
+
+
+def read_start(
+    model: TrainedModel,
+    path: str | Path,
+    *,
+    outputs: bool = True,
+    time: str | int | None = None,
+    Ts: float | None = None,
+    sheet: str | int | None = None,
+) -> Start:
+    """A file's inputs for a simulation, and the first outputs, from which it starts.
+
+    Outputs beyond the model's init window may be missing; then there is nothing to compare with.
+
+    Args:
+        model: tells the columns by its channels' names; other columns are ignored.
+        path: of any format that a record may have.
+        outputs: whether the simulation starts from the first outputs; their columns are needed then.
+        time: as for `read_record`.
+        Ts: as for `read_record`.
+        sheet: of an Excel file.
+
+    Raises:
+        InputError: as `read_record`.
+    """
+    path = Path(path)
+    inputs, w = model.channels.inputs, model.init_window
+    names = (*inputs, *model.channels.outputs) if outputs else inputs
+    values, table = _columns(model, path, names, time, Ts, sheet)
+    u, y = values[:, : len(inputs)], values[:, len(inputs) :]
+    check_complete(u, inputs, lambda k: place(table, k))
+    if not outputs:
+        return Start(u, None, None)
+    _check_length(path, len(values), w, w)
+    check_complete(y[:w], model.channels.outputs, lambda k: place(table, k))
+    return Start(u, y[:w], y if np.isfinite(y).all() else None)
+
+
+def _columns(
+    model: TrainedModel,
+    path: Path,
+    names: Sequence[str],
+    time: str | int | None,
+    Ts: float | None,
+    sheet: str | int | None,
+) -> tuple[FloatArray, Any]:
+    """Values (K, c) of these columns, NaN where a sample is missing, and the table."""
+    try:
+        table = read_table(path, [*names] if time is None else [*names, time], sheet)
+    except InputError as error:
+        if "has no column" not in str(error):
+            raise
+        held = [str(column) for column in read_table(path, None, sheet).columns]
+        missing = [name for name in names if name not in held]
+        if not missing:
+            raise
+        raise InputError(
+            f"'{path.name}': expected the columns {', '.join(names)}, the model's channels, found "
+            f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: rename what stands for {', '.join(missing)}"
+        ) from error
+    values = np.column_stack([numbers(table, name) for name in names])
+    if time is not None:
+        found = uniform_Ts(times(table, str(table.columns[-1])), lambda k: place(table, k))
+        check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model")
+    if Ts is not None:
+        check_agreement(model.Ts, Ts, f"'{path.name}' against the model")
+    return values, table
+
+
+def _check_length(path: Path, found: int, needed: int, window: int) -> None:
+    if found < needed:
+        raise InputError(
+            f"'{path.name}': {found} samples are too few: the model needs {needed} or more, since it finds its initial "
+            f"state from the first {window}"
+        )

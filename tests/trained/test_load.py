@@ -1,0 +1,169 @@
+"""Models opened from their folders: the same numbers, what is known of them, and one line where it cannot be done."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import nnss_cli
+from nnss_cli.errors import InputError
+from nnss_cli.methods import load_model
+from nnss_cli.modelfile import FORMAT
+from nnss_cli.testing import small_dataset
+from nnss_cli.trained import load
+
+QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
+
+
+def test_import_is_light_and_quick() -> None:
+    """The quickest of five: the machine may be busy."""
+    code = (
+        "import time; begin = time.perf_counter(); import nnss_cli; seconds = time.perf_counter() - begin\n"
+        "import sys; dir(nnss_cli); print(seconds, *sys.modules)"
+    )
+    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(5)]
+    loaded = set(runs[0].stdout.split()[1:])
+    assert not loaded & {"torch", "numpy", "scipy", "pandas", "matplotlib", "control", "typer"}
+    assert min(float(run.stdout.split()[0]) for run in runs) < 0.15
+
+
+def test_every_public_name_is_there() -> None:
+    for name in nnss_cli.__all__:
+        assert getattr(nnss_cli, name) is not None
+        assert name in dir(nnss_cli)
+    with pytest.raises(AttributeError, match="no attribute 'lode'"):
+        nnss_cli.lode  # noqa: B018
+
+
+@pytest.mark.parametrize(("method", "settings"), [("n4sid", {}), ("nnss", QUICK)])
+def test_a_loaded_model_simulates_as_its_run_did(
+    method: str, settings: dict, trained_folder: Callable[..., Path]
+) -> None:
+    folder = trained_folder(method, **settings)
+    model = nnss_cli.load(str(folder))
+    assert (model.order, model.init_window, model.Ts) == (2, 1, 0.5)
+    assert model.channels.inputs == ("u1",)
+    assert model.fingerprint == small_dataset().fingerprint()
+    assert model.origin is not None
+    assert model.origin.method == method
+    assert model.scaling is not None
+    record = model.records()["test"][0]
+    run = json.loads((folder / "run.json").read_text())
+    error = model.simulate(record.u, record.y[:1]).y - record.y
+    rmse = next(score["rmse"] for score in run["scores"] if score["split"] == "test")
+    assert float(np.sqrt(np.mean(error**2))) == pytest.approx(rmse, rel=1e-12)
+    assert load(folder.parents[3]).folder == folder  # the folder of `nnss train --out`
+
+
+def test_signals_of_any_kind(trained_folder: Callable[..., Path]) -> None:
+    model = load(trained_folder(r=2, m=2))
+    random = np.random.default_rng(0)
+    u, y = random.standard_normal((20, 2)), random.standard_normal((3, 2))
+    expected = model.model.simulate(u, y).y
+    frame = pd.DataFrame({"other": 1.0, "u2": u[:, 1], "u1": u[:, 0]})
+    outputs = pd.DataFrame(y, columns=["y1", "y2"])
+    for inputs, first in ((u, y), (u.tolist(), y.tolist()), (frame, outputs)):
+        np.testing.assert_array_equal(model.simulate(inputs, first).y, expected)
+    np.testing.assert_array_equal(model.simulate(u, y[0]).y, model.model.simulate(u, y[:1]).y)
+    one = load(trained_folder())
+    expected = one.model.simulate(u[:, :1], y[:2, :1]).y
+    for inputs, first in ((u[:, 0], y[:2, 0]), (pd.Series(u[:, 0]), list(y[:2, 0]))):
+        np.testing.assert_array_equal(one.simulate(inputs, first).y, expected)
+    np.testing.assert_array_equal(one.simulate(u[:, 0], 0.5).y, one.model.simulate(u[:, :1], np.array([[0.5]])).y)
+
+
+@pytest.mark.parametrize(
+    ("u", "y_init", "told"),
+    [
+        (np.zeros(5), np.zeros((1, 2)), r"u: expected samples × 2 for u1, u2, found an array of shape \(5,\)"),
+        (np.zeros((2, 5)), np.zeros((1, 2)), "transposed"),
+        (pd.DataFrame({"u1": [0.0], "v": [0.0]}), np.zeros(2), "expected the columns u1, u2, found u1, v"),
+        ([[0.0, np.nan]], np.zeros(2), "sample 0 of 'u2' is nan"),
+        ([["a", "b"]], np.zeros(2), "expected numbers"),
+        (np.zeros((2, 2)), np.zeros((3, 2)), "y_init: expected 1 to 2 samples"),
+        (np.zeros((0, 2)), np.zeros(2), r"shape \(0, 2\)"),
+    ],
+)
+def test_wrong_signals_are_named(u: object, y_init: object, told: str, trained_folder: Callable[..., Path]) -> None:
+    with pytest.raises(InputError, match=told) as error:
+        load(trained_folder(r=2, m=2)).simulate(u, y_init)
+    assert "\n" not in str(error.value)
+
+
+def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:
+    """A copy of a model whose model.json has other values; without those that are None."""
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    content = json.loads((copy / "model.json").read_text()) | changes
+    (copy / "model.json").write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+    return copy
+
+
+def test_a_model_alone_knows_where_it_comes_from(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
+    folder = trained_folder()
+    for name in ("model.json", "model.safetensors"):
+        shutil.copy(folder / name, tmp_path / name)
+    model = load(tmp_path)
+    assert model.fingerprint == small_dataset().fingerprint()
+    assert model.records() == {}
+
+
+def test_older_folders_load(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
+    folder = changed(trained_folder(), tmp_path, format=None, training=None)
+    model = load(folder)
+    assert model.origin is not None
+    assert (model.origin.init_window, model.init_window, model.order) == (None, 1, 2)
+    assert model.fingerprint == small_dataset().fingerprint()
+    (folder / "run.json").unlink()
+    bare = load(folder)
+    assert (bare.origin, bare.fingerprint, bare.order, bare.init_window) == (None, None, 2, 1)
+    u = np.random.default_rng(0).standard_normal(9)
+    np.testing.assert_array_equal(bare.simulate(u, 1.0).y, load(trained_folder()).simulate(u, 1.0).y)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"format": FORMAT + 1}, f"is of format {FORMAT + 1}, this nnss reads up to {FORMAT}: install"),
+        ({"format": "two"}, "format: expected a whole number"),
+        ({"format": True}, "format: expected a whole number"),
+        ({"training": {"dataset": "small"}}, "training: protocol: Field required"),
+        ({"training": 3}, "training: "),
+    ],
+)
+def test_folders_of_later_versions_and_damaged_ones(
+    changes: dict, told: str, trained_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = changed(trained_folder(), tmp_path, **changes)
+    with pytest.raises(InputError, match=told) as error:
+        load(folder)
+    assert "\n" not in str(error.value)
+
+
+def test_where_there_is_no_model_or_more_than_one(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder: '.*nowhere'"):
+        load(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="holds no trained model"):
+        load(tmp_path)
+    for name in ("a", "b"):
+        shutil.copytree(trained_folder(), tmp_path / name)
+    with pytest.raises(InputError, match="holds 2 trained models: name one of '.*a', '.*b'"):
+        load(tmp_path)
+
+
+def test_readers_see_their_own_facts_only(trained_folder: Callable[..., Path]) -> None:
+    folder = trained_folder()
+    seen: dict = {}
+    content = json.loads((folder / "model.json").read_text())
+    assert {"format", "training"} < set(content)
+    (copy := folder.parent / "copy").mkdir()
+    shutil.copy(folder / "model.safetensors", copy)
+    (copy / "model.json").write_text(json.dumps(content | {"kind": "mine"}))
+    load_model(copy, {"mine": lambda description, _: seen.update(description)})
+    assert set(seen) == {"kind", "Ts", "channels"}
+    shutil.rmtree(copy)

@@ -1,0 +1,101 @@
+"""Files opened for a model: columns by name, its sampling time, its window; one line that names both sides else."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nnss_cli.errors import InputError
+from nnss_cli.trained import TrainedModel, load, read_record, read_start
+
+
+@pytest.fixture
+def model(trained_folder: Callable[..., Path]) -> TrainedModel:
+    """Of channels u1, y1 and Ts = 0.5 s."""
+    return load(trained_folder())
+
+
+def windowed(model: TrainedModel, window: int) -> TrainedModel:
+    from dataclasses import replace
+
+    assert model.origin is not None
+    return replace(model, origin=replace(model.origin, init_window=window))
+
+
+def table(**columns: object) -> pd.DataFrame:
+    k = np.arange(8)
+    return pd.DataFrame({"t": 0.5 * k, "y1": np.cos(k), "note": "a", "u1": np.sin(k)} | columns)
+
+
+def test_columns_by_name_in_any_format(model: TrainedModel, tmp_path: Path) -> None:
+    content = table()
+    content.to_csv(tmp_path / "new.csv", index=False)
+    content.to_excel(tmp_path / "new.xlsx", index=False)
+    np.savez(tmp_path / "new.npz", u1=content["u1"], y1=content["y1"])
+    for name in ("new.csv", "new.xlsx", "new.npz"):
+        record = read_record(model, tmp_path / name)
+        np.testing.assert_allclose(record.u[:, 0], content["u1"], rtol=1e-15)
+        np.testing.assert_allclose(record.y[:, 0], content["y1"], rtol=1e-15)
+        assert record.Ts == 0.5
+    assert len(read_record(model, str(tmp_path / "new.csv"), time="t", Ts=0.5)) == 8
+
+
+def test_a_start_needs_outputs_in_the_window_only(model: TrainedModel, tmp_path: Path) -> None:
+    y = np.cos(np.arange(8.0))
+    y[3:] = np.nan
+    table(y1=y).to_csv(tmp_path / "new.csv", index=False)
+    start = read_start(windowed(model, 3), tmp_path / "new.csv")
+    assert start.y is None
+    np.testing.assert_array_equal(start.y_init, y[:3, None])
+    assert len(start.u) == 8
+    with pytest.raises(InputError, match="row 5, column 'y1'"):
+        read_start(windowed(model, 4), tmp_path / "new.csv")
+    table().drop(columns="y1").to_csv(tmp_path / "new.csv", index=False)
+    assert read_start(model, tmp_path / "new.csv", outputs=False).y_init is None
+    with pytest.raises(InputError, match="expected the columns u1, y1, the model's channels, found t, note, u1"):
+        read_start(model, tmp_path / "new.csv")
+    table().to_csv(tmp_path / "new.csv", index=False)
+    start = read_start(model, tmp_path / "new.csv")
+    assert start.y is not None
+    assert len(start.y) == 8
+
+
+def nan_at_three(values: np.ndarray) -> np.ndarray:
+    values = values.astype(float).copy()
+    values[3] = np.nan
+    return values
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "told"),
+    [
+        ({"y1": None}, {}, "expected the columns u1, y1, the model's channels, found t, note, u1: .*y1"),
+        ({"t": 0.4 * np.arange(8)}, {"time": "t"}, "column 't', .* 0.4 s, expected 0.5 s"),
+        ({}, {"Ts": 0.1}, "0.1 s, expected 0.5 s"),
+        ({}, {"time": "clock"}, "no column 'clock'"),
+        ({"u1": nan_at_three(np.arange(8))}, {}, "row 5, column 'u1': 1 of 8 samples are missing"),
+        ({"y1": nan_at_three(np.arange(8))}, {}, "row 5, column 'y1': 1 of 8 samples are missing"),
+        ({"u1": ["1"] * 7 + ["off"]}, {}, "row 9, column 'u1': expected a number, found 'off'"),
+    ],
+)
+def test_what_does_not_fit_is_named(
+    columns: dict, options: dict, told: str, model: TrainedModel, tmp_path: Path
+) -> None:
+    content = table(**{name: values for name, values in columns.items() if values is not None})
+    content.drop(columns=[name for name, values in columns.items() if values is None]).to_csv(
+        tmp_path / "new.csv", index=False
+    )
+    with pytest.raises(InputError, match=told) as error:
+        read_record(model, tmp_path / "new.csv", **options)
+    assert "\n" not in str(error.value)
+    assert "new.csv" in str(error.value)
+
+
+def test_too_short_for_the_window(model: TrainedModel, tmp_path: Path) -> None:
+    table().to_csv(tmp_path / "new.csv", index=False)
+    assert len(read_start(windowed(model, 8), tmp_path / "new.csv").u) == 8
+    for window, read in ((9, read_start), (8, read_record)):
+        with pytest.raises(InputError, match="'new.csv': 8 samples are too few: the model needs 9 or more"):
+            read(windowed(model, window), tmp_path / "new.csv")
