@@ -17,7 +17,7 @@ FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 # Each may import what stands before it, and itself.
 LAYERS = [
     "version", "machine", "errors", "files", "modelfile", "iterative", "plugins", "elementary", "system", "datasets",
-    "baselines", "model", "training", "methods", "experiment", "trained", "testing", "report", "commands", "app",
+    "baselines", "model", "training", "methods", "experiment", "trained", "validation", "testing", "report", "commands", "app",
     "__main__",
 ]  # fmt: skip
 

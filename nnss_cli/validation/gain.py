@@ -17,7 +17,7 @@ Candidates, the simplest first:
    model where it was not trained cannot be seen on train.
 
 A candidate whose observer δẑ(k+1) = (F(k) − K H(k)) δẑ(k) does not contract along the validation trajectory is left
-out; of the others the simplest within 2 % of the lowest one-step error on validation is taken. Source for 2 and 3: L. Ljung, "System Identification", 2nd ed., 1999, sections 4.3 and 7.4; for 4: K. R. Muske and
+out; of the others the simplest within 2 % of the lowest one-step error on validation is taken. Source for 2 and 3: L. Ljung, "Stepper Identification", 2nd ed., 1999, sections 4.3 and 7.4; for 4: K. R. Muske and
 T. A. Badgwell, "Disturbance modeling for offset-free linear model predictive control", J. Process Control 12, 2002.
 """
 
@@ -33,7 +33,7 @@ from nnss_cli.baselines.subspace import inverse_root
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.experiment.inspection_dynamics import excerpt
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
-from nnss_cli.validation.system import System
+from nnss_cli.validation.stepping import Stepper
 
 SAMPLES = 4096  # of train, and of validation, that are looked at: where the inputs vary most
 PIECE = 256  # samples of a piece of train; the pieces run side by side
@@ -83,7 +83,7 @@ class _Line:
     weight: FloatArray  # (m, m), Λ^(−1/2)
 
 
-def estimate_gain(system: System, train: Sequence[Record], val: Sequence[Record], init_window: int = 1) -> Gain:
+def estimate_gain(system: Stepper, train: Sequence[Record], val: Sequence[Record], init_window: int = 1) -> Gain:
     """K of a system.
 
     Args:
@@ -100,7 +100,7 @@ def estimate_gain(system: System, train: Sequence[Record], val: Sequence[Record]
 
 
 def _candidates(
-    system: System, train: Sequence[Record], w: int, disturbances: Sequence[float]
+    system: Stepper, train: Sequence[Record], w: int, disturbances: Sequence[float]
 ) -> dict[str, FloatArray]:
     """Kalman gains, one for each q_d, and what refinement makes of the one with the smallest errors on train."""
     pieces = _cut(system, train, w)
@@ -133,13 +133,13 @@ def _stretches(records: Sequence[Record], inputs: int) -> list[Record]:
     return kept or list(records)
 
 
-def _begin(system: System, record: Record, w: int) -> FloatArray:
+def _begin(system: Stepper, record: Record, w: int) -> FloatArray:
     known = record[: min(w, len(record))]
     x0 = system.model.simulate(known.u, known.y).x[0]
     return system.start(x0, system.scaling.normalise_y(record.y[0]))
 
 
-def _cut(system: System, train: Sequence[Record], w: int) -> _Pieces:
+def _cut(system: Stepper, train: Sequence[Record], w: int) -> _Pieces:
     """Pieces of one length; what a record has beyond a whole number of them is left out."""
     records = _stretches(train, train[0].input_count)
     L = min(len(record) // max(1, round(len(record) / PIECE)) for record in records)
@@ -157,7 +157,7 @@ def _cut(system: System, train: Sequence[Record], w: int) -> _Pieces:
     )
 
 
-def _restarted(system: System, K: FloatArray, pieces: _Pieces) -> _Pieces:
+def _restarted(system: Stepper, K: FloatArray, pieces: _Pieces) -> _Pieces:
     """Each piece that continues another begins where that one's predictor ends."""
     z, _ = system.observe(np.repeat(K[None], len(pieces.start), axis=0), pieces.start, pieces.u, pieces.y)
     end = np.roll(z[-1], 1, axis=0)
@@ -166,7 +166,7 @@ def _restarted(system: System, K: FloatArray, pieces: _Pieces) -> _Pieces:
     return _Pieces(pieces.u, pieces.y, start, pieces.scored, pieces.follows)
 
 
-def _linearise(system: System, K: FloatArray, pieces: _Pieces) -> _Line | None:
+def _linearise(system: Stepper, K: FloatArray, pieces: _Pieces) -> _Line | None:
     """None where the predictor leaves the range of numbers, or foresees everything."""
     L, b = pieces.u.shape[:2]
     z, predicted = system.observe(np.repeat(K[None], b, axis=0), pieces.start, pieces.u, pieces.y)
@@ -209,7 +209,7 @@ def _squares(line: _Line, pieces: _Pieces, K: FloatArray) -> float:
     return total if np.isfinite(total) else np.inf
 
 
-def _kalman(line: _Line, pieces: _Pieces, system: System, q_d: float) -> tuple[float, FloatArray | None]:
+def _kalman(line: _Line, pieces: _Pieces, system: Stepper, q_d: float) -> tuple[float, FloatArray | None]:
     """The best of a range of Kalman gains by the one-step errors on train, after their squares; None without any."""
     F, H = line.F.mean(axis=(0, 1)), line.H.mean(axis=(0, 1))
     z, _ = system.observe(np.zeros((len(pieces.start), *line.K.shape)), pieces.start, pieces.u, pieces.y)
@@ -259,7 +259,7 @@ def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
     return best
 
 
-def _chosen(found: Sequence[tuple[System, dict[str, FloatArray]]], val: Sequence[Record], w: int) -> Gain:
+def _chosen(found: Sequence[tuple[Stepper, dict[str, FloatArray]]], val: Sequence[Record], w: int) -> Gain:
     """The candidate with the smallest one-step errors on validation whose observer contracts there."""
     records = _stretches(val, val[0].input_count)
     judged = []
@@ -280,7 +280,7 @@ def _chosen(found: Sequence[tuple[System, dict[str, FloatArray]]], val: Sequence
 
 
 def _judge(
-    system: System, K: FloatArray, records: Sequence[Record], w: int
+    system: Stepper, K: FloatArray, records: Sequence[Record], w: int
 ) -> tuple[FloatArray, list[tuple[FloatArray, FloatArray]]]:
     """One-step RMSE of gains (c, s, m), the geometric mean over outputs (c,), and ẑ (N, c, s) with u of each record."""
     squares, count, paths = np.zeros((len(K), system.outputs)), 0, []
@@ -300,7 +300,7 @@ def _judge(
 
 
 def _contraction(
-    system: System, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]
+    system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]
 ) -> tuple[float, float]:
     """Growth a sample of the observer's error over the records, to first order, and its largest frozen radius."""
     growth, samples, radius = 0.0, 0, 0.0

@@ -4,7 +4,7 @@
 
 ŷ(k) is the prediction one step ahead: of the outputs it knows those before k. h steps ahead, ŷ(k | k − h) knows the
 outputs up to k − h, and the inputs up to k; the model runs freely from x̂(k − h + 1). Where h is larger than k, and for
-K = 0, it is the free simulation from x(0). Source: L. Ljung, "System Identification", 2nd ed., 1999, section 4.3.
+K = 0, it is the free simulation from x(0). Source: L. Ljung, "Stepper Identification", 2nd ed., 1999, section 4.3.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
-from nnss_cli.validation.system import CHUNK, System, systems_of
+from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Predictor:
     """What runs between the corrections."""
     gains: tuple[FloatArray, ...]
     """K (s, m) of each member, in normalised units: s is the order, m more where the previous output schedules, and m
-    more where a disturbance of the outputs follows the innovations, too (`nnss_cli.validation.system`)."""
+    more where a disturbance of the outputs follows the innovations, too (`nnss_cli.validation.stepping`)."""
 
     def predict(self, u: FloatArray, y: FloatArray, horizon: int | None, init_window: int = 1) -> FloatArray:
         """ŷ(k | k − h) for every k (K, m), physical units.
@@ -51,12 +51,12 @@ class Predictor:
         """What each member predicts at each horizon (horizons, members, K, m), physical units; see `predict`."""
         members = [
             self._member(system, K, u, y, horizons, init_window)
-            for system, K in zip(systems_of(self.model), self.gains, strict=True)
+            for system, K in zip(steppers_of(self.model), self.gains, strict=True)
         ]
         return np.stack(members, axis=1)
 
     def _member(
-        self, system: System, K: FloatArray, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], w: int
+        self, system: Stepper, K: FloatArray, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], w: int
     ) -> FloatArray:
         free = system.model.simulate(u, y[:w])
         known, inputs = system.scaling.normalise_y(y), system.scaling.normalise_u(u)
@@ -77,7 +77,7 @@ class Predictor:
         return np.stack(found)
 
 
-def _run_on(system: System, z: FloatArray, u: FloatArray, steps: int) -> FloatArray:
+def _run_on(system: Stepper, z: FloatArray, u: FloatArray, steps: int) -> FloatArray:
     """h(z, u) (N, m) after `steps` free steps from each of N states z (N, s), under the inputs u (N + steps, r)."""
     parts = []
     for start in range(0, len(z), CHUNK):

@@ -25,7 +25,7 @@ from nnss_cli.model.nnss import NNSS
 CHUNK = 4096  # points whose step is taken at a time
 
 
-class System(Protocol):
+class Stepper(Protocol):
     """One model; b points side by side."""
 
     model: Model
@@ -37,7 +37,7 @@ class System(Protocol):
     outputs: int
     """Number of outputs m."""
 
-    def disturbed(self) -> System:
+    def disturbed(self) -> Stepper:
         """The same with a disturbance of each output in z."""
         ...
 
@@ -68,17 +68,17 @@ class System(Protocol):
         ...
 
 
-def systems_of(model: Model) -> tuple[System, ...]:
+def steppers_of(model: Model) -> tuple[Stepper, ...]:
     """The members of an ensemble, or the one system that a model is.
 
     Raises:
         InputError: the model is of a plug-in's kind, which has no step to look at.
     """
     members = model.members if isinstance(model, Ensemble) else (model,)
-    return tuple(_system(member) for member in members)
+    return tuple(_stepper(member) for member in members)
 
 
-def _system(model: Model) -> System:
+def _stepper(model: Model) -> Stepper:
     if isinstance(model, NNSS):
         return Neural(model)
     if isinstance(model, LinearModel):
@@ -100,11 +100,11 @@ class Neural:
         self.size = a.order + a.outputs * (self.with_y + disturbed)
 
     def disturbed(self) -> Neural:
-        """See `System`."""
+        """See `Stepper`."""
         return Neural(self.model, True)
 
     def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
-        """See `System`."""
+        """See `Stepper`."""
         none = np.zeros(self.outputs * self.has_disturbance)
         return np.concatenate([x0, y0, none] if self.with_y else [x0, none])
 
@@ -116,12 +116,12 @@ class Neural:
 
     @torch.no_grad()
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`."""
+        """See `Stepper`."""
         following, y = self._torch_step(self._tensor(z), self._tensor(u))
         return following.numpy().astype(np.float64), y.numpy().astype(np.float64)
 
     def jacobians(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`; by reverse differentiation of the step, a row at a time for all points."""
+        """See `Stepper`; by reverse differentiation of the step, a row at a time for all points."""
         parts = [self._jacobian(z[i : i + CHUNK], u[i : i + CHUNK]) for i in range(0, len(z), CHUNK)]
         J = np.concatenate(parts)
         return J[:, : self.size], J[:, self.size :]
@@ -133,7 +133,7 @@ class Neural:
         return np.asarray(torch.stack(rows, dim=1).numpy(), dtype=np.float64)
 
     def observe(self, K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`."""
+        """See `Stepper`."""
         z, predicted = np.full((len(u) + 1, *z0.shape), np.nan), np.full(y.shape, np.nan)
         z[0] = z0
         for k in range(len(u)):
@@ -160,27 +160,27 @@ class Linear:
         self.system, self.size = system, system.order
 
     def disturbed(self) -> Linear:
-        """See `System`."""
+        """See `Stepper`."""
         return Linear(self.model, True)
 
     def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
-        """See `System`."""
+        """See `Stepper`."""
         del y0
         return np.concatenate([x0, np.zeros(self.size - len(x0))])
 
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`."""
+        """See `Stepper`."""
         A, B, C, D = self.system.A, self.system.B, self.system.C, self.system.D
         with np.errstate(over="ignore", invalid="ignore"):
             return z @ A.T + u @ B.T, z @ C.T + u @ D.T
 
     def jacobians(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`."""
+        """See `Stepper`."""
         del u
         return np.repeat(self.system.A[None], len(z), axis=0), np.repeat(self.system.C[None], len(z), axis=0)
 
     def observe(self, K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `System`; as x(k+1) = (A − KC) x + (B − KD) u + K y."""
+        """See `Stepper`; as x(k+1) = (A − KC) x + (B − KD) u + K y."""
         A, B, C, D = self.system.A, self.system.B, self.system.C, self.system.D
         z, predicted = np.empty((len(u) + 1, *z0.shape)), np.empty(y.shape)
         for i, gain in enumerate(K):
