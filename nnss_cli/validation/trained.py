@@ -1,0 +1,156 @@
+"""A trained model with its predictor and its bands: from the records of its run, or from a record that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.errors import InputError
+from nnss_cli.trained import TrainedModel
+from nnss_cli.validation.bands import Band, calibrate
+from nnss_cli.validation.gain import Gain, estimate_gain
+from nnss_cli.validation.predictor import Predictor
+from nnss_cli.validation.stepping import steppers_of
+
+FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
+
+BandScale: TypeAlias = Literal["residuals", "ensemble"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """What a predictor and its bands are made on."""
+
+    train: tuple[Record, ...]
+    """K is fitted on these, physical units."""
+    val: tuple[Record, ...]
+    """K is chosen, and bands are calibrated, on these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forecaster:
+    """A predictor, and what is known of it."""
+
+    trained: TrainedModel
+    """The model."""
+    predictor: Predictor
+    """With the gains."""
+    gains: tuple[Gain, ...]
+    """One for each member."""
+    fitting: Fitting
+    """Where they come from."""
+
+    def predict(self, record: Record, horizon: int | None) -> FloatArray:
+        """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
+        return self.predictor.predict(record.u, record.y, horizon, self.trained.init_window)
+
+    def band(self, horizon: int | None, level: float, scale: BandScale = "residuals") -> Band:
+        """The band of predictions `horizon` steps ahead, from the validation records; see `interval`."""
+        return interval(self.trained, self.fitting.val, level, scale, horizon, self.predictor)
+
+
+def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:
+    """The training and validation records of a model's run, or the two parts of a record that is given.
+
+    Raises:
+        InputError: neither is there, or the record is too short.
+    """
+    if data is not None:
+        first = int(FITTED * len(data))
+        least = trained.init_window + 1
+        if min(first, len(data) - first) <= least:
+            raise InputError(
+                f"the record to fit on has {len(data)} samples: expected at least {int(least / (1 - FITTED)) + 2}, so "
+                "that both parts are longer than the init window"
+            )
+        return Fitting((data[:first],), (data[first:],))
+    kept = trained.records()
+    if not kept.get("train") or not kept.get("val"):
+        raise InputError(
+            f"'{trained.folder}' keeps no training and validation records: give a record that the gain and the bands "
+            "may be fitted on, with --data FILE"
+        )
+    return Fitting(kept["train"], kept["val"])
+
+
+def forecaster(trained: TrainedModel, data: Record | None = None) -> Forecaster:
+    """The predictor of a trained model: its gain is estimated anew, deterministically, and kept nowhere.
+
+    Args:
+        trained: the model.
+        data: a record to fit on, instead of those of its run.
+
+    Raises:
+        InputError: there is nothing to fit on, or the model is of a kind whose step is not known.
+    """
+    steppers = steppers_of(trained.model)
+    fitting = fitting_records(trained, data)
+    gains = tuple(estimate_gain(each, fitting.train, fitting.val, trained.init_window) for each in steppers)
+    return Forecaster(trained, Predictor(trained.model, tuple(gain.K for gain in gains)), gains, fitting)
+
+
+def simulator(trained: TrainedModel) -> Predictor:
+    """The predictor with K = 0, which only simulates."""
+    steppers = steppers_of(trained.model)
+    return Predictor(trained.model, tuple(np.zeros((each.size, each.outputs)) for each in steppers))
+
+
+def interval(
+    trained: TrainedModel,
+    val: Sequence[Record],
+    level: float,
+    scale: BandScale = "residuals",
+    horizon: int | None = None,
+    predictor: Predictor | None = None,
+) -> Band:
+    """The band ŷ ± … of a simulation, or of predictions, from validation records that have not trained the model.
+
+    Samples of the init window do not count, since they tell the initial state.
+
+    Args:
+        trained: the model.
+        val: validation records, physical units.
+        level: share of samples that it is to hold.
+        scale: constant half-width (residuals), or following the spread of an ensemble's members.
+        horizon: steps ahead; None for the simulation.
+        predictor: for a horizon.
+
+    Raises:
+        InputError: the level is out of range, the records are too short for it, or the model is no ensemble.
+    """
+    w = trained.init_window
+    errors, spreads = [], []
+    for record in val:
+        predicted, spread = predicted_with_spread(trained, record, horizon, scale, predictor)
+        errors.append((record.y - predicted)[w:])
+        spreads.append(None if spread is None else spread[w:])
+    if scale == "residuals":
+        return calibrate(errors, level)
+    return calibrate(errors, level, [spread for spread in spreads if spread is not None])
+
+
+def predicted_with_spread(
+    trained: TrainedModel, record: Record, horizon: int | None, scale: BandScale, predictor: Predictor | None = None
+) -> tuple[FloatArray, FloatArray | None]:
+    """ŷ (K, m) and, where a band is to follow it, the deviation of an ensemble's members (K, m).
+
+    Raises:
+        InputError: a spread is asked of one model alone.
+    """
+    w = trained.init_window
+    if scale == "residuals":
+        if horizon is None:
+            return trained.model.simulate(record.u, record.y[:w]).y, None
+        assert predictor is not None
+        return predictor.predict(record.u, record.y, horizon, w), None
+    each = (predictor or simulator(trained)).predict_each(record.u, record.y, (horizon,), w)[0]
+    if len(each) < 2:
+        raise InputError(
+            "interval: a band that follows an ensemble's spread needs an ensemble of two members at least, found one "
+            "model: train nnss-ensemble, or leave --interval-by out"
+        )
+    return each.mean(axis=0), each.std(axis=0, ddof=1)
