@@ -12,7 +12,20 @@ prepare()  # before anything loads numpy
 
 import typer
 
-from nnss_cli.commands import ablate, certify, compare, fetch, inspect, methods, order, report, train, tune
+from nnss_cli.commands import (
+    ablate,
+    certify,
+    compare,
+    fetch,
+    inspect,
+    methods,
+    order,
+    report,
+    show,
+    simulate,
+    train,
+    tune,
+)
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
@@ -34,6 +47,8 @@ for _name, _module, _example in (
     ("compare", compare, "nnss compare twotank --orders 2 3 4 --seeds 10 --methods nnss n4sid"),
     ("tune", tune, "nnss tune twotank --order 3 --trials 50"),
     ("ablate", ablate, "nnss ablate twotank --study stability --orders 3 --seeds 10"),
+    ("simulate", simulate, "nnss simulate results/twotank/paper/runs/nnss-n3-s0 new.csv --out predicted.csv --plot"),
+    ("show", show, "nnss show results/twotank/paper/runs/nnss-n3-s0"),
     ("certify", certify, "nnss certify results/twotank/paper/runs/nnss-n3-s0"),
     ("inspect", inspect, "nnss inspect plant.csv --inputs u --outputs y --ts 0.1 --write plant.toml"),
     ("order", order, "nnss order twotank --max-order 8"),

@@ -81,6 +81,15 @@ def _read_description(folder: Path) -> dict[str, Any]:
     return description
 
 
+def read_format(folder: Path) -> int:
+    """Version of a folder's layout.
+
+    Raises:
+        InputError: there is no model in it.
+    """
+    return int(_read_description(folder).get("format", 1))
+
+
 def write_tensors(path: Path, tensors: Tensors) -> None:
     """Write named arrays as safetensors."""
     from safetensors.numpy import save

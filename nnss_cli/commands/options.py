@@ -118,6 +118,19 @@ FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first r
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
+ModelFolder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL", help="Folder of a run, as `nnss train` prints it; or of results (--out) with one model."
+    ),
+]
+FileTime = Annotated[
+    str | None, typer.Option("--time", metavar="COLUMN", help="Column of the time, checked against the model.")
+]
+FileTs = Annotated[
+    float | None, typer.Option("--ts", metavar="SECONDS", help="Sampling time of the file, checked against the model.")
+]
+FileSheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="Sheet of an Excel file.")]
 
 MAX_JOBS = 1024
 """Processes of one machine."""

@@ -1,0 +1,68 @@
+"""`nnss simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nnss_cli.commands import options as opt
+
+
+def command(
+    model: opt.ModelFolder,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="File with a column for each input and output, by the model's names.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Where the outputs go.")] = Path(
+        "predicted.csv"
+    ),
+    plot: Annotated[bool, typer.Option("--plot", help="Draw them beside it, as .png.")] = False,
+    start: Annotated[
+        str,
+        typer.Option(
+            "--start", metavar="outputs|rest", help="From the file's first outputs, or at rest under its first input."
+        ),
+    ] = "outputs",
+    states: Annotated[bool, typer.Option("--states", help="Write the states, too.")] = False,
+    time: opt.FileTime = None,
+    Ts: opt.FileTs = None,
+    sheet: opt.FileSheet = None,
+    force: opt.Force = False,
+) -> None:
+    """Simulate the inputs of a file freely, and compare with its outputs where they are complete.
+
+    The first outputs tell the initial state, as many as the model's init window has; the rest may be empty.
+    """
+    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.errors import InputError
+    from nnss_cli.files import require_writable, write_text
+    from nnss_cli.trained import load
+    from nnss_cli.trained.simulate import simulate_file, simulated_table
+
+    figure_path = out.with_suffix(".png")
+    for path in [out, *[figure_path] * plot]:
+        if path.exists() and not force:
+            raise InputError(f"'{path}' exists already: name another file with --out, or --force to replace it")
+    trained = load(model)
+    found = simulate_file(trained, file, start, time=time, Ts=Ts, sheet=sheet)
+    require_writable(out.parent)
+    write_text(out, simulated_table(trained, found, states))
+    for note in trained.origin.notes if trained.origin else ():
+        console.print(f"Note on the training: {note}", soft_wrap=True, highlight=False)
+    if found.scores:
+        from nnss_cli.report.simulation import error_rows
+
+        print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
+    if plot:
+        from nnss_cli.report.figures import close_figure, save_figure
+        from nnss_cli.report.simulation import draw_simulated
+
+        figure = draw_simulated(
+            found.seconds(trained.Ts), found.u, found.y, found.measured, trained.channels, trained.label
+        )
+        save_figure(figure, figure_path)
+        close_figure(figure)
+    for path in [out, *[figure_path] * plot]:
+        console.print(str(path), soft_wrap=True, highlight=False)

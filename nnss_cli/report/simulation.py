@@ -1,0 +1,128 @@
+"""Tables and the figure of a simulated file, and of what a model's folder holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.experiment.run import Score
+from nnss_cli.report.figures import STYLE, style_of
+from nnss_cli.report.tables import number
+
+
+def titled(name: str, unit: str) -> str:
+    """A channel with its unit, where it has one."""
+    return f"{name} [{unit}]" if unit not in ("", "–") else name
+
+
+def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:
+    """Errors of a simulated file by output."""
+    names = [titled(*pair) for pair in zip(channels.outputs, channels.output_units, strict=True)]
+    return [
+        {
+            "output": names[int(score.output[1:]) - 1], "RMSE": number(score.rmse), "RMSE/σ": number(score.nrmse),
+            "fit [%]": f"{score.fit_percent:.1f}",
+        }
+        for score in scores
+    ]  # fmt: skip
+
+
+def draw_simulated(
+    time: FloatArray, u: FloatArray, y: FloatArray, measured: FloatArray | None, channels: Channels, label: str
+) -> Figure:
+    """Simulated outputs over the measured ones, where there are any, and the inputs below.
+
+    Args:
+        time: instants (K,) [s].
+        u: inputs (K, r).
+        y: simulated outputs (K, m).
+        measured: outputs (K, m), or None.
+        channels: names and units.
+        label: of the model.
+    """
+    m, r = y.shape[1], u.shape[1]
+    look = style_of("nnss")
+    with plt.rc_context(STYLE):
+        figure, panels = plt.subplots(
+            m + r, 1, figsize=(7.2, 1.2 + 1.7 * m + 0.9 * r), sharex=True, squeeze=False, layout="constrained",
+            height_ratios=[1.9] * m + [1] * r,
+        )  # fmt: skip
+        for i in range(m):
+            panel = panels[i, 0]
+            if measured is not None:
+                panel.plot(time, measured[:, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
+            panel.plot(time, y[:, i], color=look.colour, linewidth=1.1, label="simulated")
+            panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
+        for i in range(r):
+            panels[m + i, 0].step(time, u[:, i], color="0.35", linewidth=0.9, where="post")
+            panels[m + i, 0].set_ylabel(titled(channels.inputs[i], channels.input_units[i]))
+        for panel in panels[:, 0]:
+            panel.margins(x=0.01)
+        panels[-1, 0].set_xlabel("time [s]")
+        figure.align_ylabels()
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        figure.suptitle(label, fontsize=10)
+    return figure
+
+
+def model_rows(shown: dict[str, Any]) -> list[dict[str, str]]:
+    """What a model is and where it comes from."""
+    training = shown["training"] or {}
+    description = shown["description"].get("architecture") or shown["description"]
+    facts: dict[str, Any] = {
+        "kind": f"{shown['kind']} (folder of format {shown['format']})",
+        "order": shown["order"],
+        "sampling time": f"{shown['Ts']:.9g} s",
+        "init window": shown["init_window"],
+        **{key: value for key, value in description.items() if isinstance(value, str | int | float | list)},
+        "members": len(shown["description"].get("members", ())) or None,
+        "data": training and f"{training['dataset']} ({training['protocol']}), fingerprint {training['data']}",
+        "method": training and f"{training['method']}, version {training['version']}, seed {training['seed']}",
+        "made with": training and ", ".join(f"{name} {value}" for name, value in training["provenance"].items()),
+        "notes": "; ".join(training.get("notes", ())),
+        "remarks": "; ".join(training.get("remarks", ())),
+    }
+    if isinstance(facts["members"], int):
+        facts = {key: value for key, value in facts.items() if not isinstance(value, list)}
+    return [{"": key, "value": _text(value)} for key, value in facts.items() if value not in (None, "", {})]
+
+
+def channel_rows(shown: dict[str, Any]) -> list[dict[str, str]]:
+    """Channels with their scaling."""
+    channels, scaling = shown["channels"], shown["scaling"]
+    rows = []
+    for kind, letter in (("input", "u"), ("output", "y")):
+        for i, (name, unit) in enumerate(zip(channels[f"{kind}s"], channels[f"{kind}_units"], strict=True)):
+            rows.append(
+                {
+                    "": kind, "name": name, "unit": unit,
+                    "mean": number(scaling[f"{letter}_mean"][i] if scaling else None),
+                    "deviation": number(scaling[f"{letter}_std"][i] if scaling else None),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def array_rows(shown: dict[str, Any]) -> list[dict[str, str]]:
+    """Arrays by name."""
+    return [
+        {"array": name, "shape": " × ".join(map(str, array["shape"])) or "1", "type": array["dtype"]}
+        for name, array in shown["arrays"].items()
+    ]
+
+
+def setting_rows(shown: dict[str, Any]) -> list[dict[str, str]]:
+    """The settings of its training; none where they are not known."""
+    settings = (shown["training"] or {}).get("settings", {})
+    return [{"setting": name, "value": _text(value)} for name, value in settings.items()]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return " ".join(map(str, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,92 @@
+"""A file of inputs simulated with a trained model, and compared with what was measured where that is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.errors import InputError, unknown
+from nnss_cli.experiment.run import Score, score_outputs
+from nnss_cli.trained.model import TrainedModel
+from nnss_cli.trained.records import read_start
+
+STARTS = ("outputs", "rest")
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """What became of a file."""
+
+    u: FloatArray
+    """Inputs (K, r), physical units."""
+    y: FloatArray
+    """Simulated outputs (K, m), physical units."""
+    x: FloatArray
+    """States (K, n), the model's own."""
+    measured: FloatArray | None
+    """Measured outputs (K, m) where the file has every one of them, else None."""
+    scores: tuple[Score, ...]
+    """Errors of each output after the init window; empty where nothing was measured."""
+
+    def seconds(self, Ts: float) -> FloatArray:
+        """The instants (K,) [s], from 0."""
+        return np.arange(len(self.y)) * Ts
+
+
+def simulate_file(
+    model: TrainedModel,
+    path: str | Path,
+    start: str = "outputs",
+    *,
+    time: str | int | None = None,
+    Ts: float | None = None,
+    sheet: str | int | None = None,
+) -> Simulated:
+    """Simulate the inputs of a file.
+
+    Args:
+        model: what simulates.
+        path: file with a column for each input, by the model's names, and for each output, of which the first init
+            window is needed.
+        start: from these outputs, or at "rest": the equilibrium under the first input, for a file without outputs.
+        time: column of the time, to be checked.
+        Ts: sampling time of the file [s], to be checked.
+        sheet: of an Excel file.
+
+    Raises:
+        InputError: whatever does not fit the model, or a simulation that leaves the finite range.
+    """
+    if start not in STARTS:
+        raise unknown("start", start, STARTS)
+    found = read_start(model, path, outputs=start == "outputs", time=time, Ts=Ts, sheet=sheet)
+    with np.errstate(over="ignore", invalid="ignore"):
+        simulation = model.simulate(found.u, found.y_init)
+    lost = ~np.isfinite(simulation.y).all(axis=1)
+    if lost.any():
+        raise InputError(
+            f"'{Path(path).name}': the simulation leaves the finite range at sample {int(lost.argmax())}: expected a "
+            "model that is stable for these inputs; 'nnss certify' tells what is promised of it"
+        )
+    if found.y is None:
+        return Simulated(found.u, simulation.y, simulation.x, None, ())
+    begin = model.init_window if model.init_window > 1 else 0
+    scores: list[Score] = []
+    if len(found.y) > begin:
+        scaling = model.scaling or Scaling.of((Record(found.u, found.y, model.Ts),))
+        scores = score_outputs("file", [found.y[begin:]], [simulation.y[begin:]], scaling)
+    return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
+
+
+def simulated_table(model: TrainedModel, found: Simulated, states: bool = False) -> str:
+    """A simulation as CSV: time from 0, each output by its name, and the states where asked for."""
+    import pandas as pd
+
+    names = model.channels.outputs
+    clock = next(name for name in ("time", "t", "seconds", "time [s]", "time from start [s]") if name not in names)
+    columns = {clock: found.seconds(model.Ts)} | dict(zip(names, found.y.T, strict=True))
+    if states:
+        columns |= {f"x{i + 1}": x for i, x in enumerate(found.x.T) if f"x{i + 1}" not in columns}
+    return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n"))

@@ -1,0 +1,110 @@
+"""`nnss simulate` and `nnss show`: what they write, what they say, and what they refuse in one line."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nnss_cli.testing import small_dataset
+from nnss_cli.trained import load
+
+
+@pytest.fixture
+def new(tmp_path: Path) -> Path:
+    """A file of the test record."""
+    record = small_dataset().tests["test"][0]
+    path = tmp_path / "new.csv"
+    pd.DataFrame({"y1": record.y[:, 0], "u1": record.u[:, 0]}).to_csv(path, index=False, float_format="%.17g")
+    return path
+
+
+def test_simulate_writes_what_the_model_simulates(
+    new: Path, nnss: Callable, trained_folder: Callable[..., Path]
+) -> None:
+    done = nnss("simulate", trained_folder(), new, "--out", "a/out.csv", "--plot", "--states")
+    assert done.code == 0, done.err
+    model, record = load(trained_folder()), small_dataset().tests["test"][0]
+    expected = model.simulate(record.u, record.y[0])
+    found = pd.read_csv("a/out.csv")
+    assert list(found.columns) == ["time", "y1", "x1", "x2"]
+    np.testing.assert_allclose(found["time"], np.arange(len(record)) * 0.5)
+    np.testing.assert_allclose(found["y1"], expected.y[:, 0], rtol=1e-10)
+    np.testing.assert_allclose(found[["x1", "x2"]], expected.x, rtol=1e-10)
+    assert Path("a/out.png").stat().st_size > 10_000
+    run = json.loads((trained_folder() / "run.json").read_text())
+    rmse = next(score["rmse"] for score in run["scores"] if score["split"] == "test")
+    assert f"{rmse:.3g}"[:4] in done.out
+
+
+def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
+    pd.DataFrame({"u1": np.full(20, 0.7)}).to_csv(new, index=False)
+    refused = nnss("simulate", trained_folder(), new)
+    assert refused.code == 2
+    assert "expected the columns u1, y1, the model's channels, found u1: rename what stands for y1" in refused.err
+    assert not Path("predicted.csv").exists()
+    done = nnss("simulate", trained_folder(), new, "--start", "rest")
+    assert done.code == 0, done.err
+    y = pd.read_csv("predicted.csv")["y1"]
+    np.testing.assert_allclose(y, load(trained_folder()).equilibrium(0.7).y[0], rtol=1e-9)
+    assert "RMSE" not in done.out
+
+
+def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
+    before = new.read_bytes()
+    refused = nnss("simulate", trained_folder(), new, "--out", new)
+    assert (refused.code, new.read_bytes()) == (2, before)
+    assert "exists already" in refused.err
+    assert nnss("simulate", trained_folder(), new).code == 0
+    assert nnss("simulate", trained_folder(), new).code == 2
+    assert nnss("simulate", trained_folder(), new, "--force").code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--ts", "0.1"), "sampling time 0.1 s, expected 0.5 s"),
+        (("--start", "middle"), "unknown start 'middle': choose from outputs, rest"),
+        (("--time", "clock"), "no column 'clock'"),
+    ],
+)
+def test_simulate_refuses_in_one_line(
+    options: tuple[str, ...], told: str, new: Path, nnss: Callable, trained_folder: Callable[..., Path]
+) -> None:
+    done = nnss("simulate", trained_folder(), new, *options)
+    assert done.code == 2
+    assert told in done.err
+    assert done.err.count("\n") == 1
+    assert not Path("predicted.csv").exists()
+
+
+def test_a_simulation_that_runs_away_is_told(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
+    import shutil
+
+    from safetensors.numpy import load_file, save_file
+
+    folder = Path(shutil.copytree(trained_folder(), "copy"))
+    tensors = load_file(folder / "model.safetensors")
+    save_file(tensors | {"A": 1e9 * np.eye(2)}, folder / "model.safetensors")
+    done = nnss("simulate", folder, new)
+    assert done.code == 2
+    assert "the simulation leaves the finite range at sample 3" in done.err
+    assert not Path("predicted.csv").exists()
+
+
+@pytest.mark.parametrize("method", ["n4sid", "nnss"])
+def test_show_tells_what_a_folder_holds(method: str, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
+    folder = trained_folder(method, **({"epochs": 1, "hidden": (3,), "encoder": (2,)} if method == "nnss" else {}))
+    done = nnss("show", folder)
+    assert done.code == 0, done.err
+    dataset = small_dataset()
+    for told in (dataset.fingerprint(), "0.5 s", "small (strict)", "u1", "y_std", method):
+        assert told in done.out
+    found = json.loads(nnss("show", folder, "--json").out)
+    assert found["fingerprint"] == dataset.fingerprint()
+    assert found["scaling"]["y_std"] == pytest.approx(dataset.fitting.scaling.y_std.tolist())
+    assert found["training"]["method"] == method
+    assert all(found["arrays"][name]["shape"] == [1] for name in ("u_mean", "y_std"))
+    assert (found["format"], found["order"], found["init_window"]) == (2, 2, 1)
