@@ -94,17 +94,38 @@ def persistence(y: FloatArray, horizon: int) -> FloatArray:
     return np.asarray(y[np.maximum(np.arange(len(y)) - horizon, 0)])
 
 
-def prediction_errors(
-    predictor: Predictor, records: Sequence[Record], horizons: Sequence[int | None], init_window: int = 1
-) -> FloatArray:
-    """RMSE by horizon and output (horizons, m) over the samples of all records, physical units.
+@dataclass(frozen=True, eq=False)
+class StepTable:
+    """Errors k steps ahead: of the predictor, beside persistence and the free simulation."""
 
-    The same samples count at every horizon: those after the init window, or after y(0), from which the
-    simulation starts.
+    horizons: tuple[int, ...]
+    """Steps ahead."""
+    predicted: FloatArray
+    """RMSE of the predictor by horizon and output (horizons, m), physical units."""
+    persistence: FloatArray
+    """RMSE of ŷ(k | k − h) = y(k − h), likewise."""
+    simulated: FloatArray
+    """RMSE of the free simulation (m,)."""
+
+
+def step_table(
+    predictor: Predictor, records: Sequence[Record], horizons: Sequence[int], init_window: int = 1
+) -> StepTable:
+    """Errors over the samples of all records after the init window, or after y(0), from which the simulation starts.
+
+    Args:
+        predictor: what predicts.
+        records: physical units.
+        horizons: steps ahead, each at least 1.
+        init_window: first output samples that tell x(0).
     """
-    squares, count = np.zeros((len(horizons), records[0].output_count)), 0
+    wanted: tuple[int | None, ...] = (*horizons, None)
+    squares, persisting, count = 0.0, 0.0, 0
     for record in records:
-        each = predictor.predict_each(record.u, record.y, horizons, init_window).mean(axis=1)
-        squares += np.square(each - record.y)[:, init_window:].sum(axis=1)
-        count += len(record) - init_window
-    return np.sqrt(squares / count)
+        each = predictor.predict_each(record.u, record.y, wanted, init_window).mean(axis=1)
+        lasting = np.stack([persistence(record.y, horizon) for horizon in horizons])
+        squares = squares + np.square(each - record.y)[:, init_window:].sum(axis=1)
+        persisting = persisting + np.square(lasting - record.y)[:, init_window:].sum(axis=1)
+        count += max(0, len(record) - init_window)
+    errors, lasting_errors = np.sqrt(squares / max(count, 1)), np.sqrt(persisting / max(count, 1))
+    return StepTable(tuple(horizons), errors[:-1], lasting_errors, errors[-1])

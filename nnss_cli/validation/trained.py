@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
-from nnss_cli.datasets.record import FloatArray, Record
-from nnss_cli.errors import InputError
+from nnss_cli.datasets.record import Channels, FloatArray, Record
+from nnss_cli.errors import InputError, unknown
 from nnss_cli.trained import TrainedModel
+from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
 from nnss_cli.validation.predictor import Predictor
@@ -48,9 +49,60 @@ class Forecaster:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
         return self.predictor.predict(record.u, record.y, horizon, self.trained.init_window)
 
-    def band(self, horizon: int | None, level: float, scale: BandScale = "residuals") -> Band:
-        """The band of predictions `horizon` steps ahead, from the validation records; see `interval`."""
-        return interval(self.trained, self.fitting.val, level, scale, horizon, self.predictor)
+    def limits(self, record: Record, horizon: int | None, level: float, scale: str = "residuals") -> Limits:
+        """The band around predictions `horizon` steps ahead, from the validation records; see `interval`."""
+        by = band_scale(scale)
+        band = interval(self.trained, self.fitting.val, level, by, horizon, self.predictor)
+        predicted, spread = predicted_with_spread(self.trained, record, horizon, by, self.predictor)
+        return Limits.of(band, predicted, spread, record.y, self.trained.init_window)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """A band around outputs, and how many measured ones it held."""
+
+    band: Band
+    """How wide, and from how many blocks."""
+    low: FloatArray
+    """Lower limits (K, m), physical units."""
+    high: FloatArray
+    """Upper limits (K, m), physical units."""
+    held: FloatArray | None
+    """Share of the measured outputs within (m,), the init window left out; None where nothing was measured."""
+
+    @classmethod
+    def of(
+        cls, band: Band, y: FloatArray, spread: FloatArray | None, measured: FloatArray | None, init_window: int
+    ) -> Limits:
+        """Around outputs y (K, m), with an ensemble's spread where the band follows it."""
+        low, high = band.limits(y, spread)
+        held = None
+        if measured is not None and len(measured) > init_window:
+            held = np.mean(((low <= measured) & (measured <= high))[init_window:], axis=0)
+        return cls(band, low, high, held)
+
+    @property
+    def pair(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper limits."""
+        return self.low, self.high
+
+    @property
+    def name(self) -> str:
+        """For legends."""
+        return f"band of {100 * self.band.level:g} %"
+
+    def told(self, channels: Channels) -> list[str]:
+        """A line for each output."""
+        lines = []
+        for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
+            width = "the members' spread" if self.band.floor is not None else "" if unit == "–" else unit
+            half = f"{self.band.half_width[i]:.4g} {'× ' if self.band.floor is not None else ''}{width}".strip()
+            seen = "" if self.held is None else f"; it holds {100 * self.held[i]:.1f} % here"
+            lines.append(
+                f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
+                f"the validation record{seen}"
+            )
+        return lines
 
 
 def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:
@@ -97,6 +149,45 @@ def simulator(trained: TrainedModel) -> Predictor:
     """The predictor with K = 0, which only simulates."""
     steppers = steppers_of(trained.model)
     return Predictor(trained.model, tuple(np.zeros((each.size, each.outputs)) for each in steppers))
+
+
+def band_scale(name: str) -> BandScale:
+    """The name of a band's scale.
+
+    Raises:
+        InputError: it is unknown.
+    """
+    if name not in get_args(BandScale):
+        raise unknown("interval-by", name, get_args(BandScale))
+    return cast(BandScale, name)
+
+
+def simulation_limits(
+    trained: TrainedModel, found: Simulated, level: float, scale: str = "residuals", data: Record | None = None
+) -> Limits:
+    """The band around a simulated file.
+
+    Args:
+        trained: the model.
+        found: the simulation.
+        level: share of samples that it is to hold.
+        scale: residuals or ensemble.
+        data: a record to calibrate on, instead of the validation records of the run.
+
+    Raises:
+        InputError: as `interval`; there is nothing to calibrate on; or an ensemble's spread is asked for a simulation
+            from rest.
+    """
+    by = band_scale(scale)
+    val = fitting_records(trained).val if data is None else (data,)
+    band = interval(trained, val, level, by)
+    spread = None
+    if by == "ensemble":
+        if found.measured is None:
+            raise InputError("interval-by ensemble: expected a file with all its outputs, found some missing")
+        record = Record(found.u, found.measured, trained.Ts)
+        spread = predicted_with_spread(trained, record, None, by)[1]
+    return Limits.of(band, found.y, spread, found.measured, trained.init_window)
 
 
 def interval(
