@@ -26,6 +26,7 @@ from nnss_cli.commands import (
     simulate,
     train,
     tune,
+    validate,
 )
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
@@ -50,6 +51,7 @@ for _name, _module, _example in (
     ("ablate", ablate, "nnss ablate twotank --study stability --orders 3 --seeds 10"),
     ("simulate", simulate, "nnss simulate results/twotank/paper/runs/nnss-n3-s0 new.csv --out predicted.csv --plot"),
     ("predict", predict, "nnss predict results/twotank/paper/runs/nnss-n3-s0 new.csv --horizon 10 --interval 0.9"),
+    ("validate", validate, "nnss validate results/twotank/strict/runs/nnss-n3-s0 new.csv"),
     ("show", show, "nnss show results/twotank/paper/runs/nnss-n3-s0"),
     ("certify", certify, "nnss certify results/twotank/paper/runs/nnss-n3-s0"),
     ("inspect", inspect, "nnss inspect plant.csv --inputs u --outputs y --ts 0.1 --write plant.toml"),

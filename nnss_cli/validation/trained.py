@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels, FloatArray, Record
+from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.trained import TrainedModel
 from nnss_cli.trained.simulate import Simulated
@@ -55,6 +55,12 @@ class Forecaster:
         band = interval(self.trained, self.fitting.val, level, by, horizon, self.predictor)
         predicted, spread = predicted_with_spread(self.trained, record, horizon, by, self.predictor)
         return Limits.of(band, predicted, spread, record.y, self.trained.init_window)
+
+    def limits_of_simulation(self, record: Record, level: float) -> Limits:
+        """The band around the free simulation of a record."""
+        band = interval(self.trained, self.fitting.val, level)
+        y = self.trained.model.simulate(record.u, record.y[: self.trained.init_window]).y
+        return Limits.of(band, y, None, record.y, self.trained.init_window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +133,21 @@ def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fittin
             "may be fitted on, with --data FILE"
         )
     return Fitting(kept["train"], kept["val"])
+
+
+def records_to_validate(trained: TrainedModel, split: str = "") -> tuple[str, tuple[Record, ...]]:
+    """The records of a split of the model's run, and its name: by default the first test set, else validation.
+
+    Raises:
+        InputError: the run keeps no records, or none of that name.
+    """
+    kept = trained.records()
+    if not kept:
+        raise InputError(f"'{trained.folder}' keeps no records: name a FILE to validate on")
+    if split and split not in kept:
+        raise unknown("split", split, kept)
+    name = split or next((name for name in kept if name not in FITTED_ON), "val")
+    return name, kept[name]
 
 
 def forecaster(trained: TrainedModel, data: Record | None = None) -> Forecaster:
