@@ -24,7 +24,9 @@ def command(
     split: Annotated[
         str,
         typer.Option(
-            "--split", metavar="NAME", help="Records of the run: train, val or a test set (default: the first of these)."
+            "--split",
+            metavar="NAME",
+            help="Records of the run: train, val or a test set (default: the first of these).",
         ),
     ] = "",
     data: opt.FittedOn = None,

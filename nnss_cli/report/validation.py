@@ -106,9 +106,7 @@ def point_rows(found: Validation) -> list[dict[str, str]]:
 
 def test_rows(found: Validation) -> list[dict[str, str]]:
     """The stated tests."""
-    return [
-        {"test": test.name, "": "passes" if test.passed else "FAILS", "found": test.found} for test in found.tests
-    ]
+    return [{"test": test.name, "": "passes" if test.passed else "FAILS", "found": test.found} for test in found.tests]
 
 
 def draw_validation(found: Validation) -> Figure:
@@ -123,20 +121,21 @@ def draw_validation(found: Validation) -> Figure:
     several = len(found.outputs) > 1 or len(found.channels.inputs) > 1
     drawn = f"\ndrawn: output {each.name}, input {found.channels.inputs[driver]}" if several else ""
     with plt.rc_context(STYLE | {"font.size": 8}):
-        figure = plt.figure(figsize=(9.6, 11.2), layout="constrained")
-        rows = figure.subfigures(5, 1, height_ratios=[0.62 + 0.06 * len(found.verdict), 2.4, 2.1, 2.1, 2.3])
-        _draw_verdict(rows[0], found, f"{found.label}\non {found.record}, {found.samples} samples{drawn}")
+        lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
+        heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, 2.4]
+        figure = plt.figure(figsize=(9.6, sum(heights)), layout="constrained")
+        rows = figure.subfigures(5, 1, height_ratios=heights)
+        _draw_verdict(rows[0], lines, f"{found.label}\non {found.record}, {found.samples} samples{drawn}")
         _draw_record(rows[1], found, index)
         _draw_residuals(rows[2], found, each, driver)
-        _draw_profiles(rows[3], found, each, index, driver)
+        _draw_profiles(rows[3], found, each, driver)
         _draw_linear(rows[4], found, index, driver)
     return figure
 
 
-def _draw_verdict(block: Any, found: Validation, title: str) -> None:
+def _draw_verdict(block: Any, lines: Sequence[str], title: str) -> None:
     panel = block.subplots()
     panel.axis("off")
-    lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
     panel.set_title(title.replace("$", r"\$"), fontsize=10)
     panel.text(0, 1, "\n".join(lines).replace("$", r"\$"), va="top", fontsize=7.5, transform=panel.transAxes)
 
@@ -202,7 +201,7 @@ def _draw_residuals(block: Any, found: Validation, each: OutputCheck, driver: in
     right.legend(fontsize=7)
 
 
-def _draw_profiles(block: Any, found: Validation, each: OutputCheck, i: int, driver: int) -> None:
+def _draw_profiles(block: Any, found: Validation, each: OutputCheck, driver: int) -> None:
     left, middle, right = block.subplots(1, 3)
     state = int(np.argmax([-1.0 if part is None else part.share for part in each.by_state]))
     unit = found.channels.input_units[driver]

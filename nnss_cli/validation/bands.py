@@ -59,9 +59,7 @@ class Band:
         return predicted - scale, predicted + scale
 
 
-def calibrate(
-    errors: Sequence[FloatArray], level: float, spreads: Sequence[FloatArray] | None = None
-) -> Band:
+def calibrate(errors: Sequence[FloatArray], level: float, spreads: Sequence[FloatArray] | None = None) -> Band:
     """A band from errors on validation.
 
     Args:

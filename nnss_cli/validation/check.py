@@ -1,4 +1,4 @@
-"""A trained model put to the test on a record: errors, residuals, poles, linearisations, what a linear model could reach.
+"""A trained model put to the test on a record: errors, residuals, poles, linearisations, what linear models reach.
 
 The residuals are the errors one step ahead, of the predictor with its noise model (`gain`): those of the simulation are
 coloured wherever something but white noise on the outputs disturbs the plant, and that is no fault of a model.
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
@@ -44,7 +45,12 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     begin = w if w > 1 else 0
     scaling = trained.scaling or Scaling.of(found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
-    limits = linear_limits(records)
+    limits = linear_limits(records, trained.order)
+    if isinstance(trained.model, LinearModel):  # which has reached it, then
+        limits = [
+            score.fit_percent if limit is None else max(limit, score.fit_percent)
+            for limit, score in zip(limits, scores, strict=True)
+        ]
     outputs = []
     for i, (channel, unit) in enumerate(zip(trained.channels.outputs, trained.channels.output_units, strict=True)):
         errors = [(r.y - p)[left_out:, i] for r, p in zip(records, one_ahead, strict=True)]

@@ -17,7 +17,9 @@ Candidates, the simplest first:
    model where it was not trained cannot be seen on train.
 
 A candidate whose observer δẑ(k+1) = (F(k) − K H(k)) δẑ(k) does not contract along the validation trajectory is left
-out; of the others the simplest within 2 % of the lowest one-step error on validation is taken. Source for 2 and 3: L. Ljung, "Stepper Identification", 2nd ed., 1999, sections 4.3 and 7.4; for 4: K. R. Muske and
+out; of the others the simplest within 2 % of the lowest one-step error on validation is taken.
+
+Source for 2 and 3: L. Ljung, "System Identification", 2nd ed., 1999, sections 4.3 and 7.4; for 4: K. R. Muske and
 T. A. Badgwell, "Disturbance modeling for offset-free linear model predictive control", J. Process Control 12, 2002.
 """
 
@@ -41,7 +43,9 @@ RATIOS = np.geomspace(1e-6, 1e4, 8)  # q
 DISTURBANCES = 0.01, 0.1, 1.0, 10.0, 100.0  # q_d
 ROUNDS = 2
 ITERATIONS = 25
-MARGIN = 1.02  # a candidate is good enough when its validation error is within 2 % of the lowest: the first such is taken
+MARGIN = (
+    1.02  # a candidate is good enough when its validation error is within 2 % of the lowest: the first such is taken
+)
 ENOUGH = 1e-5  # relative decrease of the squares below which a round ends
 
 
@@ -180,13 +184,12 @@ def _linearise(system: Stepper, K: FloatArray, pieces: _Pieces) -> _Line | None:
     return _Line(K, F.reshape(L, b, *F.shape[1:]), H.reshape(L, b, *H.shape[1:]), errors, weight)
 
 
-def _errors(line: _Line, K: FloatArray, derivatives: bool) -> tuple[FloatArray, FloatArray]:
+def _errors(line: _Line, K: FloatArray) -> tuple[FloatArray, FloatArray]:
     """ε̃ (L, b, m) of another gain, to first order, and its derivatives (L, b, m, s·m) by that gain's entries."""
     L, b, m = line.errors.shape
     s = K.shape[0]
-    p = s * m if derivatives else 0
-    errors, J = np.empty((L, b, m)), np.empty((L, b, m, p))
-    xi, S = np.zeros((b, s, 1)), np.zeros((b, s, p))
+    errors, J = np.empty((L, b, m)), np.empty((L, b, m, s * m))
+    xi, S = np.zeros((b, s, 1)), np.zeros((b, s, s * m))
     known = line.errors @ line.K.T
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(L):
@@ -194,19 +197,24 @@ def _errors(line: _Line, K: FloatArray, derivatives: bool) -> tuple[FloatArray, 
             error = line.errors[k] - (H @ xi)[..., 0]
             errors[k] = error
             xi = F @ xi + (error @ K.T - known[k])[..., None]
-            if derivatives:
-                J[k] = -H @ S
-                S = F @ S + K @ J[k]
-                for i in range(s):
-                    S[:, i, i * m : (i + 1) * m] += error
+            J[k] = -H @ S
+            S = F @ S + K @ J[k]
+            for i in range(s):
+                S[:, i, i * m : (i + 1) * m] += error
     return errors, J
 
 
-def _squares(line: _Line, pieces: _Pieces, K: FloatArray) -> float:
-    errors, _ = _errors(line, K, derivatives=False)
+def _squares(line: _Line, pieces: _Pieces, K: FloatArray) -> FloatArray:
+    """Σ ε̃ᵀ Λ⁻¹ ε̃ of other gains K (c, s, m), side by side, to first order (c,); infinite where one diverges."""
+    L, b, _ = line.errors.shape
+    xi, total = np.zeros((len(K), b, K.shape[1], 1)), np.zeros(len(K))
+    known = (line.errors @ line.K.T)[..., None]
     with np.errstate(over="ignore", invalid="ignore"):
-        total = float(np.sum(np.square(errors @ line.weight.T) * pieces.scored[..., None]))
-    return total if np.isfinite(total) else np.inf
+        for k in range(L):
+            error = line.errors[k][..., None] - line.H[k] @ xi  # (c, b, m, 1)
+            total += np.sum(np.square(line.weight @ error)[..., 0] * pieces.scored[k][:, None], axis=(1, 2))
+            xi = line.F[k] @ xi + K[:, None] @ error - known[k]
+    return np.where(np.isfinite(total), total, np.inf)
 
 
 def _kalman(line: _Line, pieces: _Pieces, system: Stepper, q_d: float) -> tuple[float, FloatArray | None]:
@@ -216,7 +224,7 @@ def _kalman(line: _Line, pieces: _Pieces, system: Stepper, q_d: float) -> tuple[
     R = np.atleast_2d(np.cov(line.errors[pieces.scored > 0].T))
     R = R + 1e-9 * np.trace(R) * np.eye(len(R))
     own = system.size - system.outputs * (q_d > 0)
-    best, least = None, np.inf
+    found = []
     for moved in (z, np.diff(z, axis=0)):
         shape = np.atleast_2d(np.cov(moved[..., :own].reshape(-1, own).T))
         for q in RATIOS:
@@ -225,13 +233,14 @@ def _kalman(line: _Line, pieces: _Pieces, system: Stepper, q_d: float) -> tuple[
                 Q = scipy.linalg.block_diag(Q, q_d * R)
             try:
                 P = scipy.linalg.solve_discrete_are(F.T, H.T, Q, R)
-                K = np.linalg.solve(H @ P @ H.T + R, H @ P @ F.T).T
+                found.append(np.linalg.solve(H @ P @ H.T + R, H @ P @ F.T).T)
             except (np.linalg.LinAlgError, ValueError):
                 continue
-            squares = _squares(line, pieces, K)
-            if squares < least:
-                best, least = K, squares
-    return least, best
+    if not found:
+        return np.inf, None
+    squares = _squares(line, pieces, np.stack(found))
+    best = int(np.argmin(squares))
+    return float(squares[best]), found[best] if np.isfinite(squares[best]) else None
 
 
 def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
@@ -242,7 +251,7 @@ def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
 
     def evaluate(point: FloatArray) -> tuple[NormalEquations, FloatArray]:
         K = point.reshape(line.K.shape)
-        errors, J = _errors(line, K, derivatives=True)
+        errors, J = _errors(line, K)
         if not np.isfinite(J).all() or np.abs(np.linalg.eigvals(F - K @ H)).max() >= 1:
             return NormalEquations(np.eye(len(point)), np.zeros(len(point)), np.inf, 1), point
         weighted = (errors @ line.weight.T) * pieces.scored[..., None]
@@ -299,9 +308,7 @@ def _judge(
     return np.where(np.isfinite(errors), errors, np.inf), paths
 
 
-def _contraction(
-    system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]
-) -> tuple[float, float]:
+def _contraction(system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
     """Growth a sample of the observer's error over the records, to first order, and its largest frozen radius."""
     growth, samples, radius = 0.0, 0, 0.0
     for z, u in paths:

@@ -71,9 +71,7 @@ def linearisations(trained: TrainedModel, records: Sequence[Record]) -> Linearis
     frequency = np.geomspace(1 / (LONGEST * trained.Ts), 0.5 / trained.Ts, FREQUENCIES)
     z = np.exp(2j * np.pi * frequency * trained.Ts)
     return Linearisations(
-        tuple(
-            OperatingPoint(at, y, s.poles(), s.dc_gain(), _step(s, count), _magnitude(s, z)) for at, y, s in points
-        ),
+        tuple(OperatingPoint(at, y, s.poles(), s.dc_gain(), _step(s, count), _magnitude(s, z)) for at, y, s in points),
         tuple(without),
         frequency,
         trained.Ts,

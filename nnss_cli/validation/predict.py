@@ -49,8 +49,8 @@ def predict_record(
     """
     if not 1 <= horizon < len(record):
         raise InputError(
-            f"--horizon: expected 1 to {len(record) - 1} steps ahead, fewer than the file's {len(record)} samples, found "
-            f"{horizon}"
+            f"--horizon: expected 1 to {len(record) - 1} steps ahead, fewer than the file's {len(record)} samples, "
+            f"found {horizon}"
         )
     limits = None if level is None else found.limits(record, horizon, level, scale)
     horizons = sorted({h for h in HORIZONS if h < horizon} | {horizon})

@@ -4,7 +4,7 @@
 
 ŷ(k) is the prediction one step ahead: of the outputs it knows those before k. h steps ahead, ŷ(k | k − h) knows the
 outputs up to k − h, and the inputs up to k; the model runs freely from x̂(k − h + 1). Where h is larger than k, and for
-K = 0, it is the free simulation from x(0). Source: L. Ljung, "Stepper Identification", 2nd ed., 1999, section 4.3.
+K = 0, it is the free simulation from x(0). Source: L. Ljung, "System Identification", 2nd ed., 1999, section 4.3.
 """
 
 from __future__ import annotations

@@ -72,13 +72,13 @@ class Profile:
     """Of the F test that all bins have one mean; it takes residuals for white."""
 
 
-def tested_lags(samples: int) -> int:
+def lags_of_tests(samples: int) -> int:
     """L of the tests: 10, or fewer than samples/30, but 3 at least."""
     return max(3, min(TESTED, samples // 30))
 
 
 def _shown_lags(samples: int) -> int:
-    return max(tested_lags(samples), min(LAGS, samples // 5))
+    return max(lags_of_tests(samples), min(LAGS, samples // 5))
 
 
 def autocovariance(parts: Sequence[FloatArray], lags: int) -> FloatArray:
@@ -100,7 +100,7 @@ def whiteness(parts: Sequence[FloatArray]) -> Whiteness:
     """
     N = sum(map(len, parts))
     R = autocovariance(parts, _shown_lags(N))
-    L, band = tested_lags(N), BAND / math.sqrt(N)
+    L, band = lags_of_tests(N), BAND / math.sqrt(N)
     if not R[0] > 0:
         return Whiteness(np.zeros(len(R) - 1), band, 0.0, L, 1.0)
     r = R[1:] / R[0]
@@ -117,7 +117,7 @@ def dependence(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> De
     """
     white = [_prewhitened(parts) for parts in (errors, inputs)]
     N = sum(map(len, white[0])) if white[0] else sum(map(len, errors))
-    L, band = tested_lags(N), BAND / math.sqrt(N)
+    L, band = lags_of_tests(N), BAND / math.sqrt(N)
     sums = np.zeros(_shown_lags(N) + 1)
     powers = [sum(float(part @ part) for part in parts) for parts in white]
     if not min(powers) > 0:

@@ -132,7 +132,8 @@ def as_dict(found: Validation) -> dict[str, object]:
         "model": found.label, "record": found.record, "samples": found.samples, "left_out": found.left_out,
         "passed": found.passed, "tests": plain(found.tests), "verdict": list(found.verdict), "outputs": outputs,
         "steps": plain(found.steps), "gains": list(found.gains), "observer_rates": plain(found.rates),
-        "largest_pole": plain(found.radius), "poles": plain(found.poles), "operating_points": plain(found.linear.points),
+        "largest_pole": plain(found.radius), "poles": plain(found.poles),
+        "operating_points": plain(found.linear.points),
         "without_equilibrium": list(found.linear.without),
         "band": None if band is None else plain({
             "level": band.band.level, "half_width": band.band.half_width, "held": band.held,

@@ -50,7 +50,11 @@ def stated(
     corrected = [rate for rate, origin in zip(rates, origins, strict=True) if origin != "none"]
     if corrected:
         tests.append(
-            Stated("the observer is stable", max(corrected) < 1, f"its errors change by a factor of {max(corrected):.3g} a sample")
+            Stated(
+                "the observer is stable",
+                max(corrected) < 1,
+                f"its errors change by a factor of {max(corrected):.3g} a sample",
+            )
         )
     return tuple(tests)
 
@@ -72,8 +76,8 @@ def verdict(
         lines += _profiles(each, channels)
         if steps.predicted[0, index] >= steps.persistence[0, index]:
             lines.append(
-                f"'{each.name}': persistence predicts the next sample better than the model: look for an operating range "
-                "that training did not have, or an offset."
+                f"'{each.name}': persistence predicts the next sample better than the model: look for an operating "
+                "range that training did not have, or an offset."
             )
     if radius >= 1:
         lines.append(f"A(x) has an eigenvalue of modulus {radius:.4g} on the trajectory: the model is not Schur there.")
@@ -101,8 +105,8 @@ def _dynamics(each: OutputCheck, m: int, order: int, channels: Channels) -> Iter
         )
     elif abs(each.simulation_r1) > COLOURED:
         yield (
-            f"{own}residuals are white, while the simulation's errors are coloured (r1 = {each.simulation_r1:.2f}): the "
-            "predictor accounts for what disturbs the plant; the simulation cannot."
+            f"{own}residuals are white, while the simulation's errors are coloured (r1 = {each.simulation_r1:.2f}): "
+            "the predictor accounts for what disturbs the plant; the simulation cannot."
         )
     blamed = [channels.inputs[j] for j, p in enumerate(each.simulation_depends) if p < LEVEL / (m * len(each.depends))]
     if blamed and not depends:
@@ -120,7 +124,7 @@ def _signs(linear: Linearisations, channels: Channels) -> Iterator[str]:
                 (low, at_low), (high, at_high) = min(gains), max(gains)
                 yield (
                     f"The steady-state gain from '{name}' to '{output}' changes its sign: {low:.3g} at {at_low:.4g}, "
-                    f"{high:.3g} at {at_high:.4g}; if the plant's does not, the model is not to be trusted at rest there."
+                    f"{high:.3g} at {at_high:.4g}; if the plant's does not, the model is not to be trusted at rest."
                 )
 
 
@@ -130,8 +134,8 @@ def _limit(each: OutputCheck) -> Iterator[str]:
         return
     if each.fit_percent > each.limit + CLOSE:
         yield (
-            f"{own}the simulation fits {each.fit_percent:.1f} %, more than any linear model could "
-            f"({each.limit:.1f} %): the nonlinearity pays."
+            f"{own}the simulation fits {each.fit_percent:.1f} %, more than any linear model that was "
+            f"fitted to this very record ({each.limit:.1f} %): the nonlinearity pays."
         )
     elif each.fit_percent < each.limit - CLOSE:
         yield (
@@ -154,8 +158,8 @@ def _profiles(each: OutputCheck, channels: Channels) -> Iterator[str]:
     if telling:
         share, what = max(telling)
         yield (
-            f"'{each.name}': the mean residual varies with {what} ({100 * share:.0f} % of its variance): a nonlinearity "
-            "is missing there."
+            f"'{each.name}': the mean residual varies with {what} ({100 * share:.0f} % of its variance): a "
+            "nonlinearity is missing there."
         )
 
 
