@@ -72,7 +72,7 @@ def calibrate(errors: Sequence[FloatArray], level: float, spreads: Sequence[Floa
     """
     if not 0 < level < 1:
         raise InputError(f"interval: expected a share between 0 and 1, such as 0.9, found {level:g}")
-    needed = math.ceil(level / (1 - level) - 1e-9)  # with fewer blocks no width is enough
+    needed = math.ceil(level / (1 - level) - 1e-6)  # with fewer blocks no width is enough
     samples = sum(map(len, errors))
     if samples < needed:
         raise InputError(

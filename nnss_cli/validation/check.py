@@ -26,6 +26,7 @@ from nnss_cli.validation.verdict import stated, verdict
 HORIZONS = 1, 2, 5, 10, 20
 FORGOTTEN = 0.01  # of the initial state's error, before residuals are looked at
 BAND = 0.9
+SHORTEST = 20  # samples of an experiment beyond the init window
 
 
 def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validation:
@@ -37,10 +38,15 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         name: what the records are called.
     """
     trained, w = found.trained, found.trained.init_window
+    shortest = min(map(len, records))
+    if shortest < w + SHORTEST:
+        raise InputError(
+            f"{name}: {shortest} samples are too few to validate on: expected {w + SHORTEST} or more, {SHORTEST} "
+            "beyond those that tell the initial state"
+        )
     simulated = [trained.model.simulate(record.u, record.y[:w]) for record in records]
     one_ahead = [found.predict(record, 1) for record in records]
     rates = tuple(gain.rate if gain.K.any() else 1.0 for gain in found.gains)
-    shortest = min(map(len, records))
     left_out = max(w, _forgetting(max(rates), shortest))
     begin = w if w > 1 else 0
     scaling = trained.scaling or Scaling.of(found.fitting.train)

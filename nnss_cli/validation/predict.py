@@ -47,6 +47,11 @@ def predict_record(
     Raises:
         InputError: the horizon is out of range, or the band cannot be had.
     """
+    if len(record) < found.trained.init_window + 2:
+        raise InputError(
+            f"{len(record)} samples are too few to predict: expected {found.trained.init_window + 2} or more, two "
+            "beyond those that tell the initial state"
+        )
     if not 1 <= horizon < len(record):
         raise InputError(
             f"--horizon: expected 1 to {len(record) - 1} steps ahead, fewer than the file's {len(record)} samples, "

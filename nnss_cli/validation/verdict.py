@@ -9,7 +9,7 @@ import numpy as np
 from nnss_cli.datasets.record import Channels
 from nnss_cli.validation.linearisation import Linearisations
 from nnss_cli.validation.predictor import StepTable
-from nnss_cli.validation.residuals import LEVEL
+from nnss_cli.validation.residuals import LEVEL, Whiteness
 from nnss_cli.validation.result import OutputCheck, Stated
 
 COLOURED = 0.2  # a correlation at lag 1 that is worth a word
@@ -28,7 +28,7 @@ def stated(
         Stated(
             "residuals are white (Ljung-Box)",
             worst.white.p_value >= LEVEL / m,
-            f"p = {_p(worst.white.p_value)} ('{worst.name}', r1 = {worst.white.correlation[0]:.2f})",
+            f"p = {_p(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
         )
     )
     p, output, name = min(
@@ -89,18 +89,18 @@ def verdict(
 
 
 def _dynamics(each: OutputCheck, m: int, order: int, channels: Channels) -> Iterator[str]:
-    r1, own = each.white.correlation[0], f"'{each.name}': "
+    own = f"'{each.name}': "
     depends = [
         channels.inputs[j] for j, found in enumerate(each.depends) if found.p_value < LEVEL / (m * len(each.depends))
     ]
     on = " and on ".join(f"'{name}'" for name in depends)
     coloured = each.white.p_value < LEVEL / m
     if depends:
-        colour = f"coloured (r1 = {r1:.2f}) and " if coloured else ""
+        colour = f"coloured ({_colour(each.white)}) and " if coloured else ""
         yield f"{own}residuals are {colour}dependent on {on}: dynamics are missing; try order {order + 1}."
     elif coloured:
         yield (
-            f"{own}residuals are coloured, r1 = {r1:.2f}, though independent of the inputs: dynamics of the "
+            f"{own}residuals are coloured, {_colour(each.white)}, though independent of the inputs: dynamics of the "
             f"disturbance are missing; try order {order + 1}."
         )
     elif abs(each.simulation_r1) > COLOURED:
@@ -161,6 +161,13 @@ def _profiles(each: OutputCheck, channels: Channels) -> Iterator[str]:
             f"'{each.name}': the mean residual varies with {what} ({100 * share:.0f} % of its variance): a "
             "nonlinearity is missing there."
         )
+
+
+def _colour(white: Whiteness) -> str:
+    """r1, or a larger correlation among the lags tested where r1 lies within its band."""
+    r = white.correlation[: white.lags]
+    lag = 0 if abs(r[0]) > white.band else int(np.argmax(np.abs(r)))
+    return f"r{lag + 1} = {r[lag]:.2f}"
 
 
 def _p(value: float) -> str:

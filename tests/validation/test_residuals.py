@@ -54,7 +54,7 @@ def test_the_statistic_is_that_of_statsmodels() -> None:
 
 @pytest.mark.parametrize("records", [20, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_wrong_order_is_found(records: int, plant_data: Callable[..., Dataset], linear: LinearModel) -> None:
-    """A model of order 1 of a plant of order 2, with its best gain: on 95 % of records at least. The plant itself: 5 %."""
+    """A model of order 1 of a plant of order 2, with its best gain: on 95 % of records. The plant itself: 5 %."""
     wrong = right = 0
     for seed in range(records):
         dataset = plant_data(K=900, seed=seed)
