@@ -57,17 +57,42 @@ class Program:
 
     def __call__(self, **given: Array) -> dict[str, Array]:
         """Results by name, of arguments (…, rows, columns) with any leading axes, real or complex."""
-        values: list[Array] = []
-        by_node = {node: np.asarray(given[name]) for name, node in self.inputs.items()}
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for number, node in enumerate(self.nodes):
-                if node.operation == "input":
-                    values.append(by_node[number])
-                elif node.value is not None:
-                    values.append(node.value)
-                else:
-                    values.append(_NUMPY[node.operation](node, *(values[i] for i in node.of)))
+            return self.run({name: np.asarray(value) for name, value in given.items()}, NUMPY, lambda _, value: value)
+
+    def run(
+        self,
+        given: Mapping[str, Any],
+        operations: Mapping[str, Callable[..., Any]],
+        constant: Callable[[int, Array], Any],
+    ) -> dict[str, Any]:
+        """Results by name, in any kind of values: arrays, symbols, names of variables.
+
+        Args:
+            given: the arguments by name.
+            operations: by name, each from a node and the values it takes to its value.
+            constant: from a constant's node, by number, and its array to its value.
+        """
+        by_node = {node: given[name] for name, node in self.inputs.items()}
+        values: list[Any] = []
+        for number, node in enumerate(self.nodes):
+            if node.operation == "input":
+                values.append(by_node[number])
+            elif node.value is not None:
+                values.append(constant(number, node.value))
+            else:
+                values.append(operations[node.operation](node, *(values[i] for i in node.of)))
         return {name: values[node] for name, node in self.outputs.items()}
+
+    def users(self, number: int) -> list[tuple[int, Node]]:
+        """The nodes that take a node, with their numbers."""
+        return [(i, node) for i, node in enumerate(self.nodes) if number in node.of]
+
+    def is_plain_number(self, number: int) -> bool:
+        """Whether a node is a constant scalar that is only used element by element, so that it needs no matrix."""
+        node = self.nodes[number]
+        elementwise = all(user.operation in ELEMENTWISE for _, user in self.users(number))
+        return node.value is not None and node.shape == (1, 1) and elementwise and number not in self.outputs.values()
 
 
 def _stack(axis: int) -> Callable[..., Array]:
@@ -89,7 +114,7 @@ def _part(node: Node, a: Array) -> Array:
     return a[..., i:j, k:l]
 
 
-_NUMPY: dict[str, Callable[..., Array]] = {
+NUMPY: dict[str, Callable[..., Array]] = {
     "add": lambda _, a, b: a + b,
     "subtract": lambda _, a, b: a - b,
     "multiply": lambda _, a, b: a * b,
@@ -104,6 +129,7 @@ _NUMPY: dict[str, Callable[..., Array]] = {
     "root": lambda _, a: np.sqrt(a),
     "sigmoid": _sigmoid,
 }
+"""The operations of `Program.run` on arrays."""
 
 
 class Expression:

@@ -93,6 +93,26 @@ def test_prediction_does_not_depend_on_the_clock(model: Model) -> None:
         np.testing.assert_allclose(again, z[30:], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("disturbed", [False, True])
+def test_the_observer_is_the_equation(model: Model, disturbed: bool) -> None:
+    """ẑ(k+1) = f(ẑ, u) + K (y − ŷ), step by step; linear models have it in one recursion."""
+    u, y = signals(model)
+    for plain in steppers_of(model):
+        stepper = plain.disturbed() if disturbed else plain
+        K = 0.2 * np.random.default_rng(5).standard_normal((stepper.size, stepper.outputs))
+        z0 = np.random.default_rng(6).standard_normal((1, stepper.size))
+        z, predicted = stepper.observe(K[None], z0, u[:, None], y[:, None])
+        at = z0
+        for k in range(len(u)):
+            following, expected = stepper.step(at, u[k : k + 1])
+            np.testing.assert_allclose(predicted[k], expected, rtol=1e-5, atol=1e-7)
+            at = following + (y[k] - expected) @ K.T
+            np.testing.assert_allclose(z[k + 1], at, rtol=1e-5, atol=1e-7)
+        if disturbed:  # it adds to the output, and lasts
+            shifted = z0 + np.r_[np.zeros(plain.size), np.ones(stepper.outputs)]
+            np.testing.assert_allclose(stepper.step(shifted, u[:1])[1], stepper.step(z0, u[:1])[1] + 1, rtol=1e-5)
+
+
 def test_a_horizon_of_none_or_less_is_refused(linear: LinearModel) -> None:
     u, y = signals(linear)
     with pytest.raises(InputError, match="horizon: expected at least 1 step ahead, found 0"):

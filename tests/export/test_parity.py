@@ -1,0 +1,311 @@
+"""Every export computes what the model does, for every kind of model, and what does not is never kept."""
+
+import itertools
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nnss_cli.datasets.catalog import load as load_dataset
+from nnss_cli.datasets.record import Channels, Scaling
+
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.store import Store
+from nnss_cli.experiment.sweep import plan
+from nnss_cli.export import TARGETS, ParityError, c99, export, parity, write
+from nnss_cli.export.facts import facts_of
+from nnss_cli.methods import select
+from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
+from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.trained import TrainedModel, load
+
+# In deviations of the outputs, over a whole simulation. Single precision adds up: 2e-5 for the linear model of two
+# tanks, whose slowest pole sums two hundred steps; a step is within 1e-6.
+SINGLE = 5e-5
+DOUBLE = {"control.nlsys": 1e-12, "CasADi": 1e-12, "ONNX, float64": 1e-12, "C99, double": 1e-12, "Octave": 1e-12}
+
+
+EVERY = tuple(itertools.product(STABILITIES, SCHEDULING, range(1, 7), ((1, 1), (2, 3))))
+"""Stability, scheduling, order, and numbers of inputs and outputs."""
+FEW = (
+    ("schur", "x+u+y", 4, (2, 3)), ("contraction", "x", 5, (1, 1)), ("none", "x+y", 2, (2, 3)),
+    ("schur", "x+u", 1, (1, 1)),
+)  # fmt: skip
+"""Of these, each stability, each scheduling, and one with feedthrough; the rest are slow together."""
+
+
+def names(kinds: tuple) -> list[str]:
+    return [f"{stability}-{scheduling}-n{n}-{r}x{m}" for stability, scheduling, n, (r, m) in kinds]
+
+
+def untrained(
+    stability: str, scheduling: str, n: int, size: tuple[int, int], seed: int = 0, **more: Any
+) -> TrainedModel:
+    """An NN-SS model of random weights; every second order has feedthrough."""
+    r, m = size
+    random = np.random.default_rng(seed)
+    scaling = Scaling(
+        random.normal(size=r), random.uniform(0.5, 2, r), random.normal(size=m), random.uniform(0.5, 2, m)
+    )
+    channels = Channels(
+        tuple(f"u{i + 1}" for i in range(r)), tuple(f"y{i + 1}" for i in range(m)), ("V",) * r, ("m",) * m
+    )
+    choices = {"hidden": (6,), "encoder": (4,), "dtype": "float64", "gamma": 0.97, "feedthrough": n % 2 == 0} | more
+    model = NNSS(Architecture(n, r, m, scheduling=scheduling, stability=stability, **choices), scaling, channels, 0.1)
+    model.initialise(random)
+    return TrainedModel(model)
+
+
+@pytest.fixture(scope="session")
+def tried() -> Callable[..., tuple[TrainedModel, dict[str, Any], parity.Trial]]:
+    """A random model, its facts and its trial of 40 samples."""
+    made: dict[tuple, tuple[TrainedModel, dict[str, Any], parity.Trial]] = {}
+
+    def found(*kind: Any) -> tuple[TrainedModel, dict[str, Any], parity.Trial]:
+        if kind not in made:
+            model = untrained(*kind)
+            made[kind] = model, facts_of(model), parity.trial_of(model)
+        return made[kind]
+
+    return found
+
+
+def writer(target: str) -> Callable[..., list[parity.Parity]]:
+    found = write._TARGETS[target]
+    return getattr(import_module(found.module), found.writer)
+
+
+@pytest.fixture(autouse=True)
+def _short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parity, "SAMPLES", 40)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("kind", FEW, ids=names(FEW))
+def test_parity(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> None:
+    for found in writer(target)(*tried(*kind), tmp_path, "model"):
+        assert found.step <= DOUBLE.get(found.what, 2e-6)
+        assert found.simulation <= DOUBLE.get(found.what, 1e-5)
+        assert found.samples == 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("kind", EVERY, ids=names(EVERY))
+def test_parity_of_every_kind(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> None:
+    test_parity(kind, target, tried, tmp_path)
+
+
+QUICK = {"epochs": 3, "hidden": (8,), "encoder": (4,)}
+TRAINED = {
+    "contraction": ("nnss", QUICK | {"stability": "contraction", "gamma": 0.999, "initial": "random"}),
+    "float32": ("nnss-paper", {"epochs": 2, "stride": 50, "hidden": (20,)}),
+    "linear": ("ssest", {}),
+}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], TrainedModel]:
+    """Models of the embedded record: NN-SS with a bound, one in float32, a linear one, and an ensemble."""
+    dataset = load_dataset("twotank-sim", "strict")
+    store = Store(tmp_path_factory.mktemp("trained"), dataset.name, dataset.protocol)
+
+    @cache
+    def model(name: str) -> TrainedModel:
+        if name == "ensemble":
+            one, other = model("contraction"), model("float32")
+            Ensemble((one.model, other.model)).save(folder := store.folder / "runs" / name)
+            shutil.copy(one.folder / "signals.safetensors", folder)
+            return load(folder)
+        method, settings = TRAINED[name]
+        (spec,) = plan(store, dataset, select([method]), [3], [0], settings, False).todo
+        assert execute(spec, dataset, store).status == "ok"
+        return load(store.run_folder(spec))
+
+    return model
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize(
+    "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("contraction", "float32", "ensemble"))]
+)
+def test_trained_models_on_their_whole_test_record(
+    name: str, target: str, trained: Callable[[str], TrainedModel], tmp_path: Path
+) -> None:
+    model = trained(name)
+    done = export(model, target, tmp_path / "out")
+    record = model.records()["test"][0]
+    for found in done.parity:
+        assert found.samples == len(record)
+        assert found.source == "its test record"
+        assert found.step <= DOUBLE.get(found.what, 1e-6)
+        assert found.simulation <= DOUBLE.get(found.what, SINGLE)
+    facts = json.loads((tmp_path / "out" / "model.json").read_text())
+    assert facts["outputs"] == list(model.channels.outputs)
+    assert facts["fingerprint"] == model.fingerprint
+    assert [entry["what"] for entry in facts["parity"]] == [found.what for found in done.parity]
+    certificate = facts["certificate"][0]
+    assert (certificate["state_bound"] is not None) == (name in ("contraction", "ensemble"))
+    source = {"control": "model.py", "c": "model.c", "mat": "model_step.m"}.get(target)
+    if source:
+        text = (tmp_path / "out" / source).read_text()
+        assert f"{certificate['box_radius']:.6g}" in text
+        assert certificate["state_bound"] is None or f"{certificate['state_bound']:.6g}" in text
+
+
+@pytest.mark.parametrize(
+    "target", ["c", "mat", *(pytest.param(each, marks=pytest.mark.slow) for each in ("control", "casadi", "onnx"))]
+)
+def test_a_failed_check_leaves_no_file(
+    target: str, tried: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = ("schur", "x", 2, (1, 1))
+    model, _, trial = tried(*kind)
+    other = untrained(*kind, seed=1)
+    monkeypatch.setattr(write, "trial_of", lambda _: trial)
+    if target == "mat":  # without Octave only the arrays are compared
+        monkeypatch.setattr(
+            "scipy.io.loadmat", lambda *_, **__: {"constants": dict.fromkeys(map("c{}".format, range(99)), 0)}
+        )
+    with pytest.raises(ParityError, match="no file was written"):
+        export(other, target, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.undo()
+    assert export(model, target, tmp_path / "out").files
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    with pytest.raises(InputError, match="exists already"):
+        export(other, target, tmp_path / "out")
+    export(other, target, tmp_path / "out", force=True)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == left
+
+
+def test_a_step_that_is_not_the_models_is_found(tried: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, *_ = tried("schur", "x", 3, (1, 1))
+    other = untrained("schur", "x", 3, (1, 1), seed=1)
+    wrong = other.system
+    monkeypatch.setattr(type(model.model), "elementary", lambda _: wrong)
+    with pytest.raises(ParityError, match="leaves the model's own simulation"):
+        parity.trial_of(TrainedModel(model.model))
+
+
+@pytest.mark.parametrize(("target", "package"), [("casadi", "casadi"), ("onnx", "onnx"), ("onnx", "onnxruntime")])
+def test_a_missing_package_is_named(
+    target: str, package: str, tried: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(InputError, match=rf"needs the package {package}: pip install 'nnss\[{target}\]'"):
+        export(tried("none", "x", 1, (1, 1))[0], target, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_wrong_exports_are_one_line(tried: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, *_ = tried("none", "x", 1, (1, 1))
+    with pytest.raises(InputError, match="unknown target 'simulink': choose from control, casadi, onnx, c, mat"):
+        export(model, "simulink", tmp_path)
+    with pytest.raises(InputError, match="name: expected letters"):
+        export(model, "c", tmp_path, name="../a")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(InputError, match="no C compiler found: install gcc or clang"):
+        export(model, "c", tmp_path / "out")
+    with pytest.raises(InputError, match=r"expected a model with `elementary\(\)`"):
+        export(TrainedModel(type("Other", (), {"channels": model.channels, "Ts": 1.0})()), "c", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_c_uses_no_library_function_but_exp(tried: Callable, tmp_path: Path) -> None:
+    for i, kind in enumerate([("contraction", "x+u", 3, (1, 1)), ("schur", "x", 3, (2, 3))]):
+        model, facts, trial = tried(*kind)
+        c99.write_c(model, facts, trial, tmp_path, f"m{i}")
+        subprocess.run([*c99.compiler(), "-O2", "-c", f"m{i}.c", "-o", f"m{i}.o"], cwd=tmp_path, check=True)
+        listed = subprocess.run(
+            ["nm", "-u", f"m{i}.o"], cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout
+        used = {line.split()[-1].lstrip("_") for line in listed.splitlines()}
+        assert used - {"memcpy", "memset", "GLOBAL_OFFSET_TABLE_", "stack_chk_fail"} == {"exp"}
+        source = (tmp_path / f"m{i}.c").read_text()
+        assert "malloc" not in source
+        assert source.count("#include") == 2
+
+
+def test_c_takes_less_than_two_microseconds_a_step(tried: Callable, tmp_path: Path) -> None:
+    """For n = 3 and the generator of the recipe `best`; the quickest of many batches, since the machine may be busy."""
+    model = untrained("schur", "x", 3, (1, 1), hidden=(8,))
+    trial = parity.trial_of(model)
+    c99.write_c(model, tried("schur", "x", 3, (1, 1))[1], trial, tmp_path, "model")
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include <time.h>\n#include "model.h"\n'
+        "int main(void)\n{\n  double best = 1, sum = 0;\n  int b, k;\n"
+        "  model_real z[MODEL_STATES] = {0}, u[MODEL_INPUTS] = {0}, y[MODEL_OUTPUTS];\n"
+        "  for (b = 0; b < 200; b++) {\n    clock_t begin = clock();\n    double seconds;\n"
+        "    for (k = 0; k < 2000; k++) { u[0] = (k % 7) * 0.1; model_step(z, u, y); sum += y[0]; }\n"
+        "    seconds = (double)(clock() - begin) / CLOCKS_PER_SEC / 2000;\n"
+        '    if (seconds < best) best = seconds;\n  }\n  printf("%g %g\\n", best, sum);\n  return 0;\n}\n'
+    )
+    c99.compile_c([tmp_path / "main.c", tmp_path / "model.c"], tmp_path / "run")
+    done = subprocess.run([str(tmp_path / "run")], capture_output=True, text=True, check=True)
+    assert float(done.stdout.split()[0]) < 2e-6
+
+
+def test_comments_cannot_be_left(tmp_path: Path) -> None:
+    """A channel's name is the user's: it may hold what ends a comment."""
+    from dataclasses import replace
+
+    model = untrained("schur", "x", 1, (1, 1))
+    model.model.channels = replace(model.channels, inputs=("u */ int x;\n#error\n",))
+    for target in ("c", "control", "mat", "onnx"):
+        assert export(model, target, tmp_path / target).files
+
+
+def test_the_module_of_control_stands_alone(tried: Callable, tmp_path: Path) -> None:
+    """In an interpreter that cannot import nnss."""
+    model, facts, trial = tried("schur", "x+u+y", 4, (2, 3))
+    writer("control")(model, facts, trial, tmp_path, "plant")
+    code = (
+        "import sys; sys.modules['nnss_cli'] = None\n"
+        "import numpy as np, plant\n"
+        "z = plant.initial(np.ones(3), np.ones(2)); print(repr(plant.step(z, np.ones(2))[1].tolist()))\n"
+        "assert plant.system().noutputs == 3"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    z0 = model.initial_state(np.ones((1, 2)), np.ones((1, 3)))
+    np.testing.assert_allclose(eval(done.stdout), model.system.advance(z0, np.ones(2))[1], rtol=1e-12)
+
+
+@pytest.mark.skipif(not (shutil.which("octave-cli") or shutil.which("octave")), reason="there is no Octave here")
+def test_octave_runs_the_functions(tried: Callable, tmp_path: Path) -> None:
+    (found,) = writer("mat")(*tried("contraction", "x+u+y", 3, (2, 3)), tmp_path, "model")
+    assert found.what == "Octave"
+    assert found.simulation <= 1e-12
+
+
+def test_the_command_exports(nnss: Callable, trained: Callable[[str], TrainedModel]) -> None:
+    folder = trained("linear").folder
+    done = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
+    assert done.code == 0, done.err
+    assert "C99, float: largest error" in done.out
+    assert {path.name for path in Path("firmware").iterdir()} == {"tank.c", "tank.h", "tank.json"}
+    assert nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank").code == 2
+    done = nnss("export", folder, "--to", "mat", "--out", "matlab")
+    assert done.code == 0, done.err
+    assert "Octave" in done.out
+
+
+def test_the_command_fails_where_the_check_does(
+    nnss: Callable, trained: Callable[[str], TrainedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(c99, "_number", lambda value: repr(float(np.float16(value))))
+    done = nnss("export", trained("linear").folder, "--to", "c", "--out", "firmware")
+    assert done.code == 1
+    assert done.err.startswith("nnss: C99, double: ")
+    assert done.err.count("\n") == 1
+    assert not Path("firmware").exists()
