@@ -53,7 +53,7 @@ def command(
     predictor = forecaster(trained, given)
     found = predict_record(predictor, record, horizon, interval, interval_by)
     require_writable(out.parent)
-    write_text(out, output_table(trained, found.y, found.limits and found.limits.pair))
+    write_text(out, output_table(trained, found.y, found.limits.pair if found.limits else None))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
     for line in gain_lines(predictor.gains) + (found.limits.told(trained.channels) if found.limits else []):
         console.print(line, soft_wrap=True, highlight=False)
@@ -63,7 +63,8 @@ def command(
 
         figure = draw_simulated(
             found.seconds(trained.Ts), record.u, found.y, record.y, trained.channels, trained.label,
-            f"{horizon} step{'s' * (horizon != 1)} ahead", found.limits and (*found.limits.pair, found.limits.name),
+            f"{horizon} step{'s' * (horizon != 1)} ahead",
+            (*found.limits.pair, found.limits.name) if found.limits else None,
         )  # fmt: skip
         save_figure(figure, figure_path)
         close_figure(figure)

@@ -57,7 +57,7 @@ def command(
         given = None if data is None else read_record(trained, data, sheet=sheet)
         limits = simulation_limits(trained, found, interval, interval_by, given)
     require_writable(out.parent)
-    write_text(out, simulated_table(trained, found, states, limits and limits.pair))
+    write_text(out, simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
         console.print(f"Note on the training: {note}", soft_wrap=True, highlight=False)
     if found.scores:
@@ -73,7 +73,7 @@ def command(
 
         figure = draw_simulated(
             found.seconds(trained.Ts), found.u, found.y, found.measured, trained.channels, trained.label,
-            band=limits and (*limits.pair, limits.name),
+            band=(*limits.pair, limits.name) if limits else None,
         )  # fmt: skip
         save_figure(figure, figure_path)
         close_figure(figure)

@@ -124,7 +124,7 @@ def draw_validation(found: Validation) -> Figure:
         lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
         heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, 2.4]
         figure = plt.figure(figsize=(9.6, sum(heights)), layout="constrained")
-        rows = figure.subfigures(5, 1, height_ratios=heights)
+        rows: Any = figure.subfigures(5, 1, height_ratios=heights)
         _draw_verdict(rows[0], lines, f"{found.label}\non {found.record}, {found.samples} samples{drawn}")
         _draw_record(rows[1], found, index)
         _draw_residuals(rows[2], found, each, driver)

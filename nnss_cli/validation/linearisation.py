@@ -63,10 +63,10 @@ def linearisations(trained: TrainedModel, records: Sequence[Record]) -> Linearis
         except InputError as error:
             without.append(str(error))
             continue
-        system = LinearStateSpace(*(np.asarray(M) for M in (found.A, found.B, found.C, found.D)), trained.Ts)
+        system = LinearStateSpace.from_control(found)
         if not any(np.allclose(system.A, other.A) and np.allclose(system.B, other.B) for *_, other in points):
             points.append((at, y, system))
-    slowest = max((_slowest(system) for *_, system in points), default=0.0)
+    slowest = max((system.spectral_radius() for *_, system in points), default=0.0)
     count = LONGEST if slowest >= 1 else int(np.clip(np.log(SETTLED) / np.log(max(slowest, 1e-3)), 20, LONGEST))
     frequency = np.geomspace(1 / (LONGEST * trained.Ts), 0.5 / trained.Ts, FREQUENCIES)
     z = np.exp(2j * np.pi * frequency * trained.Ts)
@@ -76,10 +76,6 @@ def linearisations(trained: TrainedModel, records: Sequence[Record]) -> Linearis
         frequency,
         trained.Ts,
     )
-
-
-def _slowest(system: LinearStateSpace) -> float:
-    return system.spectral_radius()
 
 
 def _step(system: LinearStateSpace, count: int) -> FloatArray:

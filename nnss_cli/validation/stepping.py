@@ -28,14 +28,25 @@ CHUNK = 4096  # points whose step is taken at a time
 class Stepper(Protocol):
     """One model; b points side by side."""
 
-    model: Model
-    """Whose step it is."""
-    scaling: Scaling
-    """Between physical and normalised units."""
-    size: int
-    """Length s of z."""
-    outputs: int
-    """Number of outputs m."""
+    @property
+    def model(self) -> Model:
+        """Whose step it is."""
+        ...
+
+    @property
+    def scaling(self) -> Scaling:
+        """Between physical and normalised units."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Length s of z."""
+        ...
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs m."""
+        ...
 
     def disturbed(self) -> Stepper:
         """The same with a disturbance of each output in z."""

@@ -69,7 +69,7 @@ def verdict(
     linear: Linearisations,
 ) -> tuple[str, ...]:
     """Sentences, the most important first."""
-    lines = []
+    lines: list[str] = []
     for index, each in enumerate(outputs):
         lines += _dynamics(each, len(outputs), order, channels)
         lines += _limit(each)
