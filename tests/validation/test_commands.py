@@ -3,13 +3,17 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from nnss_cli.datasets.record import Dataset, Record
 
+from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import load
 from nnss_cli.validation.trained import forecaster
 
@@ -125,6 +129,45 @@ def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Call
     assert found["tests"][0]["passed"], found["tests"]
     assert found["gains"] != ["none"]
     assert any("the predictor accounts for what disturbs the plant" in line for line in found["verdict"])
+
+
+@pytest.fixture
+def ensemble(
+    tmp_path: Path, neural: Callable[..., NNSS], plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> Path:
+    """Two members that disagree, beside the records of a run."""
+    members = []
+    for seed in range(2):
+        member = neural(seed=seed)
+        with torch.no_grad():
+            for name, value in asdict(plant_data().fitting.scaling).items():
+                getattr(member, name).copy_(torch.tensor(value))
+        member.Ts = 0.5
+        members.append(member)
+    folder = tmp_path / "ensemble"
+    folder.mkdir()
+    Ensemble(tuple(members)).save(folder)
+    shutil.copy(plant_run() / "signals.safetensors", folder)
+    return folder
+
+
+def test_a_band_may_follow_an_ensemble(new: Path, nnss: Callable, ensemble: Path) -> None:
+    for command in ("simulate", "predict"):
+        done = nnss(command, ensemble, new, "--interval", "0.9", "--interval-by", "ensemble", "--force")
+        assert done.code == 0, done.err
+        assert "× the members' spread, from" in done.out
+        table = pd.read_csv("predicted.csv")
+        width = table["y1_high"] - table["y1_low"]
+        assert width.max() > 1.5 * width.min()
+        np.testing.assert_allclose((table["y1_high"] + table["y1_low"]) / 2, table["y1"], atol=1e-9)
+
+
+def test_each_member_of_an_ensemble_has_its_own_gain(new: Path, nnss: Callable, ensemble: Path) -> None:
+    done = nnss("validate", ensemble, new, "--json")
+    assert done.code == 1  # of random weights
+    found = json.loads(done.out)
+    assert len(found["gains"]) == len(found["observer_rates"]) == 2
+    assert found["steps"]["predicted"][0][0] < found["steps"]["simulated"][0]
 
 
 def test_validate_takes_a_split_of_the_run(nnss: Callable, plant_run: Callable[..., Path]) -> None:
