@@ -17,7 +17,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.validation.limit import linear_limits
 from nnss_cli.validation.linearisation import linearisations, pole_map
-from nnss_cli.validation.predictor import step_table
+from nnss_cli.validation.predictor import require_finite, step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
 from nnss_cli.validation.trained import Forecaster
@@ -45,8 +45,10 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
             "beyond those that tell the initial state"
         )
     simulated = [trained.model.simulate(record.u, record.y[:w]) for record in records]
+    for simulation in simulated:
+        require_finite("simulation", simulation.y)
     one_ahead = [found.predict(record, 1) for record in records]
-    rates = tuple(gain.rate if gain.K.any() else 1.0 for gain in found.gains)
+    rates = tuple(gain.rate for gain in found.gains)
     left_out = max(w, _forgetting(max(rates), shortest))
     begin = w if w > 1 else 0
     scaling = trained.scaling or Scaling.of(found.fitting.train)

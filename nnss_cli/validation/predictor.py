@@ -41,7 +41,7 @@ class Predictor:
                 knows them all.
 
         Raises:
-            InputError: the horizon is not positive.
+            InputError: the horizon is not positive, or the prediction leaves the finite range.
         """
         return np.mean(self.predict_each(u, y, (horizon,), init_window)[0], axis=0)
 
@@ -53,7 +53,10 @@ class Predictor:
             self._member(system, K, u, y, horizons, init_window)
             for system, K in zip(steppers_of(self.model), self.gains, strict=True)
         ]
-        return np.stack(members, axis=1)
+        found = np.stack(members, axis=1)
+        for each in found:
+            require_finite("prediction", each.sum(axis=0))
+        return found
 
     def _member(
         self, system: Stepper, K: FloatArray, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], w: int
@@ -75,6 +78,20 @@ class Predictor:
                 predicted[first:] = system.scaling.restore_y(ahead)
             found.append(predicted)
         return np.stack(found)
+
+
+def require_finite(what: str, y: FloatArray) -> None:
+    """Outputs (K, m) that can be compared with measured ones.
+
+    Raises:
+        InputError: they leave the finite range; the message says where.
+    """
+    lost = ~np.isfinite(y).all(axis=1)
+    if lost.any():
+        raise InputError(
+            f"the {what} leaves the finite range at sample {int(lost.argmax())}: expected a model that is stable for "
+            "these inputs; 'nnss certify' tells what is promised of it"
+        )
 
 
 def _run_on(system: Stepper, z: FloatArray, u: FloatArray, steps: int) -> FloatArray:

@@ -14,7 +14,7 @@ from nnss_cli.trained import TrainedModel
 from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
-from nnss_cli.validation.predictor import Predictor
+from nnss_cli.validation.predictor import Predictor, require_finite
 from nnss_cli.validation.stepping import steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
@@ -256,7 +256,9 @@ def predicted_with_spread(
     w = trained.init_window
     if scale == "residuals":
         if horizon is None:
-            return trained.model.simulate(record.u, record.y[:w]).y, None
+            simulated = trained.model.simulate(record.u, record.y[:w]).y
+            require_finite("simulation", simulated)
+            return simulated, None
         assert predictor is not None
         return predictor.predict(record.u, record.y, horizon, w), None
     each = (predictor or simulator(trained)).predict_each(record.u, record.y, (horizon,), w)[0]

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import torch
 from nnss_cli.datasets.record import Dataset, Record
+from safetensors.numpy import load_file, save_file
 
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
@@ -242,6 +243,18 @@ def test_files_that_do_not_fit_are_refused_in_one_line(
         assert done.code == 2, done.out
         assert told in done.err
         assert done.err.count("\n") == 1
+
+
+def test_a_model_that_runs_away_is_told_in_one_line(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    folder = Path(shutil.copytree(plant_run(), "copy"))
+    tensors = load_file(folder / "model.safetensors")
+    save_file(tensors | {"A": 1e9 * np.eye(2), "C": np.array([[1.0, 1e-9]])}, folder / "model.safetensors")
+    for command in (("predict", folder, new, "--horizon", "300"), ("validate", folder, new)):
+        done = nnss(*command)
+        assert done.code == 2, done.out
+        assert "leaves the finite range at sample" in done.err
+        assert done.err.count("\n") == 1
+    assert not list(Path().glob("*.[cp][sn][vg]"))
 
 
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
