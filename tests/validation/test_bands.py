@@ -1,11 +1,20 @@
 """Conformal bands: coverage as claimed, blocks as long as the errors' memory, each output by itself."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.signal
+from nnss_cli.baselines.linear_model import LinearModel
+from nnss_cli.datasets.catalog import BENCHMARKS, load
+from nnss_cli.datasets.download import fetch
 
 from nnss_cli.errors import InputError
+from nnss_cli.methods.linear import subspace_model
 from nnss_cli.validation.bands import calibrate, memory
+from nnss_cli.validation.gain import estimate_gain
+from nnss_cli.validation.predictor import Predictor
+from nnss_cli.validation.stepping import steppers_of
 
 
 def noise(pole: float, samples: int, seed: int) -> np.ndarray:
@@ -22,6 +31,31 @@ def test_coverage_on_records_of_autoregressive_noise(pole: float) -> None:
         band = calibrate([e[:1000]], 0.9)
         held.append(np.mean(np.abs(e[1000:]) <= band.half_width))
     assert 0.88 <= np.mean(held) <= 0.92
+
+
+@pytest.mark.parametrize(
+    ("name", "order"),
+    [
+        ("robotarm", 5),
+        pytest.param("silverbox", 2, marks=pytest.mark.slow),
+        pytest.param("wiener-hammerstein", 6, marks=pytest.mark.slow),
+    ],
+)
+def test_coverage_where_test_and_validation_are_alike(name: str, order: int, mirror: Path) -> None:
+    """With N4SID, simulated and predicted, as docs/validation.md says; of several tests, the one like validation."""
+    benchmark = BENCHMARKS[name]
+    fetch(benchmark, mirror=str(mirror), offline=True)
+    dataset = load(name, "strict" if "strict" in benchmark.protocols else benchmark.protocols[0])
+    fitting, w = dataset.fitting, dataset.fitting.init_window
+    model = LinearModel.of(subspace_model(fitting, order, "auto"), fitting)
+    predictor = Predictor(model, (estimate_gain(steppers_of(model)[0], fitting.train, fitting.val, w).K,))
+    test = dataset.tests["multisine" if "multisine" in dataset.tests else "test"][0][:20_000]
+    for horizon in (None, 1, 10):
+        val, new = (
+            [(r.y - predictor.predict(r.u, r.y, horizon, w))[w:] for r in records] for records in (fitting.val, [test])
+        )
+        held = np.mean(np.abs(new[0]) <= calibrate(val, 0.9).half_width, axis=0)
+        assert ((held >= 0.85) & (held <= 0.95)).all()
 
 
 @pytest.mark.parametrize("level", [0.5, 0.8, 0.95])
