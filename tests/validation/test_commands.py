@@ -16,6 +16,7 @@ from safetensors.numpy import load_file, save_file
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import load
+from nnss_cli.validation.residuals import dependence, whiteness
 from nnss_cli.validation.trained import forecaster
 
 
@@ -130,6 +131,13 @@ def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Call
     assert found["tests"][0]["passed"], found["tests"]
     assert found["gains"] != ["none"]
     assert any("the predictor accounts for what disturbs the plant" in line for line in found["verdict"])
+    model = load(plant_run(coloured=True))
+    (record,) = model.records()["test"]
+    e, u = (signal[found["left_out"] :, 0] for signal in (record.y - forecaster(model).predict(record, 1), record.u))
+    (output,) = found["outputs"]
+    assert output["white"]["statistic"] == pytest.approx(whiteness([e]).statistic)
+    assert output["depends"][0]["statistic"] == pytest.approx(dependence([e], [u]).statistic)
+    assert output["residual_rmse"] == pytest.approx(np.sqrt(np.mean(e**2)))
 
 
 @pytest.fixture
