@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING, Any
 from nnss_cli.version import __version__
 
 if TYPE_CHECKING:
+    from nnss_cli.api import Study, compare, fit, inspect
     from nnss_cli.datasets.record import Dataset, Record
     from nnss_cli.trained import TrainedModel, load
 
 _HOME = {
+    "compare": "nnss_cli.api",
+    "fit": "nnss_cli.api",
+    "inspect": "nnss_cli.api",
+    "Study": "nnss_cli.api",
     "Dataset": "nnss_cli.datasets.record",
     "Record": "nnss_cli.datasets.record",
     "TrainedModel": "nnss_cli.trained",
@@ -25,7 +30,7 @@ _HOME = {
 }
 """Where a public name is, which is imported when it is asked for."""
 
-__all__ = ["Dataset", "Record", "TrainedModel", "__version__", "load"]
+__all__ = ["Dataset", "Record", "Study", "TrainedModel", "__version__", "compare", "fit", "inspect", "load"]
 
 
 def __getattr__(name: str) -> Any:

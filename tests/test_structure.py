@@ -18,7 +18,7 @@ FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 LAYERS = [
     "version", "machine", "errors", "files", "modelfile", "iterative", "plugins", "elementary", "system", "datasets",
     "baselines", "model", "training", "methods", "experiment", "trained", "export", "validation", "testing", "report",
-    "commands", "app", "__main__",
+    "api", "commands", "app", "__main__",
 ]  # fmt: skip
 
 

@@ -1,128 +1,23 @@
-"""Getting a dataset ready for a command: a benchmark by its name, or files of one's own with their description."""
+"""Getting a dataset ready for a command, with its options in messages and a bar for downloads."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
+from nnss_cli.commands.display import DownloadProgress
 from nnss_cli.commands.record_options import RECORD_OPTIONS, option_of
-from nnss_cli.datasets.catalog import BENCHMARKS, benchmark, load
-from nnss_cli.datasets.description import Description, read_description
-from nnss_cli.datasets.download import fetch, is_cached
-from nnss_cli.datasets.record import Dataset
-from nnss_cli.errors import InputError
+from nnss_cli.datasets.description import Description
+from nnss_cli.experiment import source
 
 
-@dataclass(frozen=True)
-class Ready:
-    """A dataset as a command needs it."""
-
-    dataset: Dataset
-    """Loaded and split."""
-    orders: tuple[int, ...]
-    """Orders to compare unless others are asked for; empty where none are known."""
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Settings of methods that its description makes."""
-
-    def orders_or(self, asked: Sequence[int] | None) -> Sequence[int]:
-        """The orders asked for, else the dataset's own.
-
-        Raises:
-            InputError: there are neither.
-        """
-        if not asked and not self.orders:
-            raise InputError(
-                f"{self.dataset.name} has no usual orders: give --orders, e.g. --orders 2 3 4; "
-                "'nnss order' shows what the data call for"
-            )
-        return asked or self.orders
-
-
-def ready(names: Sequence[str], protocol: str, mirror: str | None, offline: bool, own: dict[str, Any]) -> Ready:
-    """Load a benchmark, fetching its file when it is missing, or read files of one's own.
-
-    Args:
-        names: of a benchmark; or a description (.toml); or one file or more with an experiment each.
-        protocol: of a benchmark; "" for its first.
-        mirror: where to fetch from first.
-        offline: touch no network.
-        own: fields of a description that the command line sets.
+def ready(names: Sequence[str], protocol: str, mirror: str | None, offline: bool, own: dict[str, Any]) -> source.Ready:
+    """`nnss_cli.experiment.source.ready`, for the command line.
 
     Raises:
         InputError: neither a benchmark nor a file, or whatever is wrong with it.
     """
-    if len(names) == 1 and names[0] in BENCHMARKS:
-        if own:
-            raise InputError(
-                f"{option_of(next(iter(own)))}: expected for files of one's own only: '{names[0]}' is a benchmark and "
-                "lays this down itself"
-            )
-        return _benchmark(names[0], protocol, mirror, offline)
-    if not any(map(_looks_like_a_file, names)):
-        benchmark(next(name for name in names if name not in BENCHMARKS) if len(names) == 1 else names[0])
-        raise InputError(f"expected one benchmark, found {', '.join(names)}; several are compared one after the other")
-    from nnss_cli.datasets.experiments import OWN, dataset_of, load_experiments
-
-    if protocol not in ("", OWN):
-        raise InputError(f"--protocol {protocol}: a record of one's own has the protocol '{OWN}' only: leave it out")
-    description = describe(names, own)
-    settings = {} if description.horizon == "auto" else {"horizon": description.horizon}
-    if description.name in BENCHMARKS:
-        raise InputError(f"name '{description.name}' is a benchmark's: give another with --name, or in the description")
-    return Ready(dataset_of(load_experiments(description)), description.orders, settings)
-
-
-def describe(names: Sequence[str], own: dict[str, Any]) -> Description:
-    """A description read from its file, or made of the command line; options go before the file's keys.
-
-    Raises:
-        InputError: no such file, or a wrong or missing field.
-    """
-    for name in names:
-        if not Path(name).exists():
-            near = f"a benchmark ({', '.join(BENCHMARKS)}) or " if len(names) == 1 else ""
-            raise InputError(f"no such file: '{name}'; expected {near}a file of samples or a description (.toml)")
-    described = [name for name in names if name.lower().endswith(".toml")]
-    if described:
-        if len(names) > 1:
-            raise InputError(f"'{described[0]}' describes its files: expected it alone, found {len(names)} files")
-        return replace(read_description(Path(described[0])), **_beside(own, Path(described[0]).parent))
-    for needed in ("inputs", "outputs"):
-        if needed not in own:
-            raise InputError(
-                f"{option_of(needed)}: expected the columns of the {needed}; 'nnss inspect {names[0]}' shows what "
-                "there is"
-            )
-    return Description(files=tuple(names), **{"name": _name(names[0])} | own, folder=Path.cwd(), allow_outside=True)
-
-
-def _beside(own: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Options beside a description: files named on the command line start at the working folder."""
-    files = {key: tuple(str(Path(file).resolve()) for file in own[key]) for key in ("val", "test") if key in own}
-    return own | files | ({"allow_outside": True} if files else {}) | {"folder": folder}
-
-
-def _name(file: str) -> str:
-    """The file's name without its suffixes, as a name of results."""
-    stem = Path(file).name.removesuffix(".gz")
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", Path(stem).stem).strip(".-_") or "record"
-
-
-def _looks_like_a_file(name: str) -> bool:
-    return Path(name).exists() or Path(name).suffix != "" or "/" in name
-
-
-def _benchmark(name: str, protocol: str, mirror: str | None, offline: bool) -> Ready:
-    entry = benchmark(name)
-    entry.check_protocol(protocol)
-    if entry.sources and not is_cached(entry):
-        from nnss_cli.commands.display import DownloadProgress
-
-        fetch(entry, mirror=mirror, offline=offline, progress=DownloadProgress)
-    return Ready(load(name, protocol), entry.orders)
+    return source.ready(names, protocol, mirror, offline, own, option_of, DownloadProgress)
 
 
 assert set(RECORD_OPTIONS) <= set(Description.__dataclass_fields__)

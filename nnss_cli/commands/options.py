@@ -221,7 +221,7 @@ def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
     def wrapper(**given: Any) -> None:
         flags = {name: given.pop(name) for name in FIT_OPTIONS}
         assignments = given.pop("assignments") or []
-        from nnss_cli.commands.changes import gathered
+        from nnss_cli.experiment.changes import gathered
 
         changes = gathered(
             {

@@ -62,7 +62,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
             "  z_next(k, :) = next.'; y(k, :) = now.';",
             "end",
             f"simulated = {name}_simulate(t.u, t.z(1, :).');",
-            "error_of_y = max(max(abs((simulated - t.y) ./ repmat(t.unit, size(t.y, 1), 1))));",
+            "error_of_y = max(max(abs((simulated - t.y) ./ t.unit)));",
             "if ~(error_of_y <= t.tolerance)",
             "  error('the functions are %g deviations off the model, expected at most %g', error_of_y, t.tolerance);",
             "end",
@@ -81,7 +81,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
             **{f"scaling_{key}": np.array(values) for key, values in (facts["scaling"] or {}).items()},
         },
         "trial": {
-            "u": trial.u, "y": trial.y, "z": trial.z, "unit": trial.unit[None],
+            "u": trial.u, "y": trial.y, "z": trial.z, "unit": trial.unit,
             "tolerance": TOLERANCE * min(trial.accumulation, 1e9),
         },
     }  # fmt: skip

@@ -43,7 +43,7 @@ class Trial:
     y0: FloatArray
     """First measured output (m,)."""
     unit: FloatArray
-    """Deviation of each output (m,), the unit of errors."""
+    """The unit of errors (K, m): the output's deviation, or how far it is from its mean where that is more."""
     accumulation: float
     """Error of the outputs over a simulation, in `unit`, per relative error of each step's states; at least 1."""
 
@@ -96,8 +96,9 @@ def trial_of(model: TrainedModel) -> Trial:
     finite = np.isfinite(y).all(axis=1) & np.isfinite(z).all(axis=1)
     K = len(u) if finite.all() else int(finite.argmin())
     u, y, z = u[:K], y[:K], z[:K]
-    unit = model.scaling.y_std if model.scaling else np.ones(system.outputs)
-    own = model.model.simulate(u, y_init).y
+    deviation = model.scaling.y_std if model.scaling else np.ones(system.outputs)
+    unit = np.maximum(deviation, np.abs(y - system.y_mean))
+    own = model.model.simulate(u, y_init).y[:K]
     members = getattr(model.model, "members", (model.model,))
     single = any(getattr(getattr(member, "architecture", None), "dtype", "") == "float32" for member in members)
     precision = "float32" if single else "float64"
@@ -117,7 +118,7 @@ def _accumulation(system: System, u: FloatArray, z0: FloatArray, y: FloatArray, 
     for k in range(len(u)):
         z = z + DISTURBANCE * (1 + np.abs(z)) * random.uniform(-1, 1, len(z))
         z, moved = system.advance(z, u[k])
-        worst = max(worst, float(np.abs((moved - y[k]) / unit).max()))
+        worst = max(worst, float(np.abs((moved - y[k]) / unit[k]).max()))
     return max(1.0, worst / DISTURBANCE) if np.isfinite(worst) else np.inf
 
 

@@ -102,7 +102,11 @@ def test_parity(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> No
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("kind", EVERY, ids=names(EVERY))
 def test_parity_of_every_kind(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> None:
-    test_parity(kind, target, tried, tmp_path)
+    """Some of these, that promise nothing, are unstable: what a step's error becomes there is the model's affair."""
+    _, _, trial = tried(*kind)
+    for found in writer(target)(*tried(*kind), tmp_path, "model"):
+        assert found.step <= DOUBLE.get(found.what, 2e-6)
+        assert found.simulation <= DOUBLE.get(found.what, 1e-5) * (trial.accumulation if kind[0] == "none" else 1)
 
 
 QUICK = {"epochs": 3, "hidden": (8,), "encoder": (4,)}

@@ -1,17 +1,23 @@
 """The step in elementary operations: the model's own simulation, for every kind of model, and its exact derivatives."""
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
+import torch
+from nnss_cli.baselines.schur import schur_margin, schur_matrix
+from nnss_cli.datasets.record import Scaling
 
 from nnss_cli.elementary import OPERATIONS, cholesky, rows, solve, solve_lower, solve_upper, trace
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import SCHEDULING, STABILITIES
 from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.system import Parts, system_of
 from nnss_cli.trained import TrainedModel, load
+from nnss_cli.trained.linear import _newton, equilibrium
 
 
 def signals(model: TrainedModel, K: int = 40, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -205,3 +211,31 @@ def test_what_cannot_be_linearised_is_one_line(trained_folder: Callable[..., Pat
     assert "expected a finite number for each of u1, found" in messages[2]
     assert "for each of x1, x2" in messages[4]
     assert "elementary()" in messages[5]
+
+
+def test_the_margin_is_that_of_the_models_precision(untrained: Callable[..., TrainedModel]) -> None:
+    """A model in float32 keeps its S, and so its A, when it is computed in float64."""
+    model = untrained("schur", n=3, dtype="float32")
+    x = np.random.default_rng(0).standard_normal(3)
+    generator = copy.deepcopy(model.model).double()
+    W, V, *_ = (part.detach().numpy()[0] for part in generator.matrices(torch.tensor(x)[None])[:4])
+    a = model.model.architecture
+    expected, without = (
+        schur_matrix(W, V, a.gamma, a.epsilon, margin)
+        for margin in (schur_margin(3, "float32"), schur_margin(3, "float64"))
+    )
+    np.testing.assert_allclose(model.matrices(x).A, expected, atol=1e-13)
+    assert np.abs(expected - without).max() > 1e-8
+
+
+def test_of_several_equilibria_the_one_that_is_reached() -> None:
+    """x(k+1) = x + (x − x³)/2 goes from 0.4 to 1, Newton's steps from there to 0."""
+    parts = Parts(
+        advance=lambda x, u, _: (x + (x - x * x * x) * 0.5 + u, x),
+        initial=lambda y0, _: y0.constant(0.4),
+        frozen=lambda x, *_: (x, x, x, x),
+        n=1, keeps_output=False, feedthrough=False,
+    )  # fmt: skip
+    system = system_of([parts], Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1)))
+    assert equilibrium(system, np.zeros(1)).y == pytest.approx(1.0, abs=1e-9)
+    assert _newton(system, np.array([0.4]), np.zeros(1))[0] == pytest.approx(0.0, abs=1e-9)

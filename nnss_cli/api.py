@@ -1,0 +1,241 @@
+"""What Python has of the commands: `fit`, `compare` and `inspect`, with the same records, runs and folders.
+
+import nnss_cli as nnss
+
+study = nnss.compare("plant.csv", inputs=["u"], outputs=["y"], Ts=0.1, orders=[2, 3], seeds=5)
+study.table                       # a DataFrame
+model = study.best()              # by validation; the test has no say
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pandas as pd
+
+from nnss_cli.datasets.description import Description
+from nnss_cli.datasets.record import Dataset
+from nnss_cli.errors import InputError, unknown
+from nnss_cli.experiment.changes import gathered
+from nnss_cli.experiment.inspection_files import Seen, examine_files
+from nnss_cli.experiment.run import RunResult
+from nnss_cli.experiment.source import Ready, ready
+from nnss_cli.experiment.store import Store
+from nnss_cli.experiment.sweep import plan, sweep
+from nnss_cli.files import require_writable
+from nnss_cli.methods import METHODS, Method, select
+from nnss_cli.methods.options import options_of
+from nnss_cli.report.aggregate import best_run, long_table, summary
+from nnss_cli.trained import TrainedModel, load
+
+Source: TypeAlias = str | Path | Sequence[str | Path] | Dataset
+"""A benchmark's name, a description (.toml), a file or several with an experiment each, or a dataset."""
+
+
+class NoModelError(ArithmeticError):
+    """A fit that gave no model; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Finished runs on one dataset: methods × orders × seeds."""
+
+    dataset: Dataset
+    """What was fitted and scored."""
+    results: tuple[RunResult, ...]
+    """A run each; one that failed is a result with a reason."""
+    store: Store
+    """Where they are kept."""
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """RMSE over seeds, by order, method, split and output: median, quartiles, the seed best on validation."""
+        return summary(self.results)
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """One row per run, split and output; a run without a result is one row with its reason."""
+        return long_table(self.results)
+
+    def best(self, method: str | None = None, order: int | None = None) -> TrainedModel:
+        """The model with the lowest validation error, of all or of one method or order.
+
+        Raises:
+            InputError: none of these runs has a model.
+        """
+        own = [
+            result
+            for result in self.results
+            if method in (None, result.spec.method) and order in (None, result.spec.order)
+        ]
+        chosen = best_run(own)
+        if chosen is None:
+            found = ", ".join(dict.fromkeys(f"{r.spec.method} of order {r.spec.order}" for r in self.results))
+            raise InputError(
+                f"expected a run with a model, of method {method or 'any'} and order {order or 'any'}: "
+                f"found {found or 'no run'}, {len(own)} asked for and none of them ok"
+            )
+        return load(self.store.run_folder(chosen.spec))
+
+
+def compare(
+    data: Source,
+    *,
+    orders: Sequence[int] | None = None,
+    seeds: int = 10,
+    methods: Sequence[str] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    out: str | Path = "results",
+    jobs: int = 1,
+    force: bool = False,
+    protocol: str = "",
+    mirror: str | None = None,
+    offline: bool = False,
+    **record: Any,
+) -> Study:
+    """Run methods × orders × seeds; finished runs under `out` are not repeated.
+
+    Args:
+        data: what to identify.
+        orders: numbers of states n; the dataset's own where it has some.
+        seeds: number of seeds, from 0 on, of methods that have one.
+        methods: by name; all built-in ones by default.
+        settings: options of methods, for each that has them, or "METHOD.OPTION" for one (`nnss methods`).
+        out: folder of results, as that of the commands.
+        jobs: processes; a script that asks for several needs `if __name__ == "__main__":`.
+        force: repeat finished runs.
+        protocol: of a benchmark; its first by default.
+        mirror: where to fetch a benchmark's file from first.
+        offline: touch no network.
+        record: keys of a description (docs/own-data.md): inputs, outputs, Ts or time, split, …
+
+    Raises:
+        InputError: whatever is wrong with the files or arguments, in one line.
+    """
+    prepared = _prepared(data, protocol, mirror, offline, record)
+    dataset = prepared.dataset
+    if seeds < 1 or jobs < 1:
+        raise InputError(f"seeds and jobs: expected at least 1, found {seeds} and {jobs}")
+    chosen = select(list(methods or ()))
+    changes = _changes(chosen, settings)
+    store = Store(Path(out), dataset.name, dataset.protocol)
+    todo = plan(
+        store, dataset, chosen, prepared.orders_or(orders), range(seeds), prepared.settings | changes, force
+    )  # fmt: skip
+    require_writable(store.folder)
+    sweep(todo.todo, dataset, store, jobs, lambda _: None, lambda _: None)
+    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
+    return Study(dataset, tuple(result for result in store.results() if result.spec.label in labels), store)
+
+
+def fit(
+    data: Source,
+    order: int,
+    *,
+    method: str = "nnss",
+    seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
+    out: str | Path = "results",
+    force: bool = False,
+    protocol: str = "",
+    mirror: str | None = None,
+    offline: bool = False,
+    **record: Any,
+) -> TrainedModel:
+    """Train one model, as `nnss train` does, and open it.
+
+    Args:
+        data: as for `compare`.
+        order: number of states n.
+        method: by name.
+        seed: of weights and shuffling.
+        settings: options of the method.
+        out: folder of results.
+        force: train it again even if it is there.
+        protocol: of a benchmark.
+        mirror: where to fetch a benchmark's file from first.
+        offline: touch no network.
+        record: keys of a description.
+
+    Raises:
+        InputError: whatever is wrong with the files or arguments.
+        NoModelError: the fit diverged or could not be done; the message says why.
+    """
+    prepared = _prepared(data, protocol, mirror, offline, record)
+    dataset = prepared.dataset
+    (chosen, *_) = select([method])
+    changes = _changes([chosen], settings)
+    store = Store(Path(out), dataset.name, dataset.protocol)
+    todo = plan(store, dataset, [chosen], [order], [seed], prepared.settings | changes, force)
+    require_writable(store.folder)
+    sweep(todo.todo, dataset, store, 1, lambda _: None, lambda _: None)
+    wanted = (method, order, seed if chosen.seeded else 0)
+    result = next(r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == wanted)
+    if result.status != "ok":
+        raise NoModelError(f"{result.spec.label} {result.status}: {result.reason}")
+    return load(store.run_folder(result.spec))
+
+
+def inspect(files: str | Path | Sequence[str | Path], **record: Any) -> Seen:
+    """What is in a record: length, gaps, excitation, delays, coherence, a first guess of the order, a split.
+
+    Args:
+        files: a description (.toml), or a file for each experiment.
+        record: keys of a description; roles of columns are guessed by their names where they are not given.
+
+    Returns:
+        `found` is the inspection (`found.remarks` in sentences), `roles` which column was taken for what.
+
+    Raises:
+        InputError: a file cannot be read, or has no such column.
+    """
+    return examine_files(_names(files), _described(record))
+
+
+def _prepared(data: Source, protocol: str, mirror: str | None, offline: bool, record: Mapping[str, Any]) -> Ready:
+    if isinstance(data, Dataset):
+        if record or protocol:
+            raise InputError(
+                f"{', '.join(record) or 'protocol'}: expected for a benchmark or files, found a Dataset, which has "
+                "it all"
+            )
+        return Ready(data, ())
+    return ready(_names(data), protocol, mirror, offline, _described(record))
+
+
+def _described(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments as keys of a description.
+
+    Raises:
+        InputError: there is no such key.
+    """
+    valid = [option.name for option in fields(Description) if "check" in option.metadata and option.name != "files"]
+    for name in record:
+        if name not in valid:
+            raise InputError(f"unknown argument '{name}': what describes a record is {', '.join(valid)}")
+    return dict(record)
+
+
+def _changes(methods: Sequence[Method], settings: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Options of methods as `plan` takes them.
+
+    Raises:
+        InputError: no chosen method has such an option.
+    """
+    changes = {name: tuple(value) if isinstance(value, list) else value for name, value in (settings or {}).items()}
+    plain = {name: value for name, value in changes.items() if "." not in name}
+    gathered(plain, [], [method.name for method in methods], {name: f"settings '{name}'" for name in plain})
+    running = dict.fromkeys(name for method in methods for name in (method.name, method.members) if name)
+    valid = [f"{name}.{option}" for name in running for option in options_of(METHODS[name].options)]
+    for name in changes.keys() - plain.keys():
+        if name not in valid:
+            raise unknown("setting", name, valid)
+    return changes
+
+
+def _names(files: str | Path | Sequence[str | Path]) -> list[str]:
+    return [str(files)] if isinstance(files, str | Path) else [str(file) for file in files]
