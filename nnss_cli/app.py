@@ -22,12 +22,14 @@ from nnss_cli.commands import (
     inspect,
     methods,
     order,
+    predict,
     report,
     results,
     show,
     simulate,
     train,
     tune,
+    validate,
 )
 from nnss_cli.commands.options import with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
@@ -52,6 +54,8 @@ for _name, _module, _example in (
     ("tune", tune, "nnss tune twotank --order 3 --trials 50"),
     ("ablate", ablate, "nnss ablate twotank --study stability --orders 3 --seeds 10"),
     ("simulate", simulate, "nnss simulate results/twotank/paper/runs/nnss-n3-s0 new.csv --out predicted.csv --plot"),
+    ("predict", predict, "nnss predict results/twotank/paper/runs/nnss-n3-s0 new.csv --horizon 10 --interval 0.9"),
+    ("validate", validate, "nnss validate results/twotank/strict/runs/nnss-n3-s0 new.csv"),
     ("export", export, "nnss export results/twotank/paper/runs/nnss-n3-s0 --to c --out firmware"),
     ("show", show, "nnss show results/twotank/paper/runs/nnss-n3-s0"),
     ("certify", certify, "nnss certify results/twotank/paper/runs/nnss-n3-s0"),

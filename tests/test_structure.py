@@ -17,8 +17,8 @@ FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 # Each may import what stands before it, and itself.
 LAYERS = [
     "version", "machine", "errors", "files", "modelfile", "iterative", "plugins", "elementary", "system", "datasets",
-    "baselines", "model", "training", "methods", "experiment", "trained", "export", "testing", "report", "api",
-    "commands", "app", "__main__",
+    "baselines", "model", "training", "methods", "experiment", "trained", "export", "validation", "testing", "report",
+    "api", "commands", "app", "__main__",
 ]  # fmt: skip
 
 

@@ -141,6 +141,28 @@ FileTime = Annotated[
 FileTs = Annotated[
     float | None, typer.Option("--ts", metavar="SECONDS", help="Sampling time of the file, checked against the model.")
 ]
+FittedOn = Annotated[
+    Path | None,
+    typer.Option(
+        "--data", metavar="FILE",
+        help="Record to fit the gain and the bands on, instead of the training and validation records of the run.",
+    ),
+]  # fmt: skip
+Interval = Annotated[
+    float | None,
+    typer.Option(
+        "--interval", metavar="SHARE",
+        help="Add a band for each output that holds this share of samples, such as 0.9: split conformal on blocks of "
+        "the validation record. It assumes blocks of the new record to be exchangeable with them.",
+    ),
+]  # fmt: skip
+IntervalBy = Annotated[
+    str,
+    typer.Option(
+        "--interval-by", metavar="residuals|ensemble",
+        help="Width of the band: constant, or following the spread of an ensemble's members.",
+    ),
+]  # fmt: skip
 FileSheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="Sheet of an Excel file.")]
 
 MAX_JOBS = 1024

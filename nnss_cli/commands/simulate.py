@@ -25,6 +25,9 @@ def command(
             "--start", metavar="outputs|rest", help="From the file's first outputs, or at rest under its first input."
         ),
     ] = "outputs",
+    interval: opt.Interval = None,
+    interval_by: opt.IntervalBy = "residuals",
+    data: opt.FittedOn = None,
     states: Annotated[bool, typer.Option("--states", help="Write the states, too.")] = False,
     time: opt.FileTime = None,
     Ts: opt.FileTs = None,
@@ -38,7 +41,7 @@ def command(
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable, write_text
-    from nnss_cli.trained import load
+    from nnss_cli.trained import load, read_record
     from nnss_cli.trained.simulate import simulate_file, simulated_table
 
     figure_path = out.with_suffix(".png")
@@ -47,21 +50,31 @@ def command(
             raise InputError(f"'{path}' exists already: name another file with --out, or --force to replace it")
     trained = load(model)
     found = simulate_file(trained, file, start, time=time, Ts=Ts, sheet=sheet)
+    limits = None
+    if interval is not None:
+        from nnss_cli.validation.trained import simulation_limits
+
+        given = None if data is None else read_record(trained, data, sheet=sheet)
+        limits = simulation_limits(trained, found, interval, interval_by, given)
     require_writable(out.parent)
-    write_text(out, simulated_table(trained, found, states))
+    write_text(out, simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
         console.print(f"Note on the training: {note}", soft_wrap=True, highlight=False)
     if found.scores:
         from nnss_cli.report.simulation import error_rows
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
+    if limits is not None:
+        for line in limits.told(trained.channels):
+            console.print(line, soft_wrap=True, highlight=False)
     if plot:
         from nnss_cli.report.figures import close_figure, save_figure
         from nnss_cli.report.simulation import draw_simulated
 
         figure = draw_simulated(
-            found.seconds(trained.Ts), found.u, found.y, found.measured, trained.channels, trained.label
-        )
+            found.seconds(trained.Ts), found.u, found.y, found.measured, trained.channels, trained.label,
+            band=(*limits.pair, limits.name) if limits else None,
+        )  # fmt: skip
         save_figure(figure, figure_path)
         close_figure(figure)
     for path in [out, *[figure_path] * plot]:

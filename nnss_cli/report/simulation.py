@@ -32,9 +32,10 @@ def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, st
 
 
 def draw_simulated(
-    time: FloatArray, u: FloatArray, y: FloatArray, measured: FloatArray | None, channels: Channels, label: str
-) -> Figure:
-    """Simulated outputs over the measured ones, where there are any, and the inputs below.
+    time: FloatArray, u: FloatArray, y: FloatArray, measured: FloatArray | None, channels: Channels, label: str,
+    what: str = "simulated", band: tuple[FloatArray, FloatArray, str] | None = None,
+) -> Figure:  # fmt: skip
+    """Simulated or predicted outputs over the measured ones, where there are any, and the inputs below.
 
     Args:
         time: instants (K,) [s].
@@ -43,6 +44,8 @@ def draw_simulated(
         measured: outputs (K, m), or None.
         channels: names and units.
         label: of the model.
+        what: simulated, or how far it is predicted.
+        band: lower and upper limit (K, m), and what the band is called.
     """
     m, r = y.shape[1], u.shape[1]
     look = style_of("nnss")
@@ -55,7 +58,12 @@ def draw_simulated(
             panel = panels[i, 0]
             if measured is not None:
                 panel.plot(time, measured[:, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
-            panel.plot(time, y[:, i], color=look.colour, linewidth=1.1, label="simulated")
+            panel.plot(time, y[:, i], color=look.colour, linewidth=1.1, label=what)
+            if band is not None:
+                low, high, name = band
+                panel.fill_between(
+                    time, low[:, i], high[:, i], color=look.colour, alpha=0.2, linewidth=0, label=name, zorder=1
+                )
             panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
         for i in range(r):
             panels[m + i, 0].step(time, u[:, i], color="0.35", linewidth=0.9, where="post")
@@ -65,7 +73,7 @@ def draw_simulated(
         panels[-1, 0].set_xlabel("time [s]")
         figure.align_ylabels()
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
         figure.suptitle(label, fontsize=10)
     return figure
 

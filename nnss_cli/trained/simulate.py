@@ -80,13 +80,34 @@ def simulate_file(
     return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
 
 
-def simulated_table(model: TrainedModel, found: Simulated, states: bool = False) -> str:
-    """A simulation as CSV: time from 0, each output by its name, and the states where asked for."""
+def simulated_table(
+    model: TrainedModel, found: Simulated, states: bool = False, limits: tuple[FloatArray, FloatArray] | None = None
+) -> str:
+    """A simulation as CSV; see `output_table`.
+
+    Args:
+        model: names the outputs.
+        found: the simulation.
+        states: whether to add them, as x1 …
+        limits: of a band (K, m) each, to be added.
+    """
+    return output_table(model, found.y, limits, found.x if states else None)
+
+
+def output_table(
+    model: TrainedModel,
+    y: FloatArray,
+    limits: tuple[FloatArray, FloatArray] | None = None,
+    x: FloatArray | None = None,
+) -> str:
+    """Outputs as CSV: time from 0, each output by its name, its limits as <name>_low and <name>_high, states x1 …"""
     import pandas as pd
 
     names = model.channels.outputs
     clock = next(name for name in ("time", "t", "seconds", "time [s]", "time from start [s]") if name not in names)
-    columns = {clock: found.seconds(model.Ts)} | dict(zip(names, found.y.T, strict=True))
-    if states:
-        columns |= {f"x{i + 1}": x for i, x in enumerate(found.x.T) if f"x{i + 1}" not in columns}
+    columns = {clock: np.arange(len(y)) * model.Ts} | dict(zip(names, y.T, strict=True))
+    for suffix, limit in zip(("low", "high"), limits or (), strict=False):
+        columns |= {f"{name}_{suffix}": limit[:, i] for i, name in enumerate(names)}
+    if x is not None:
+        columns |= {f"x{i + 1}": state for i, state in enumerate(x.T) if f"x{i + 1}" not in columns}
     return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n"))

@@ -1,0 +1,72 @@
+"""`nnss predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nnss_cli.commands import options as opt
+
+
+def command(
+    model: opt.ModelFolder,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="File with a column for each input and output, by the model's names.")
+    ],
+    horizon: Annotated[int, typer.Option("--horizon", metavar="N", help="Steps ahead.")] = 1,
+    interval: opt.Interval = None,
+    interval_by: opt.IntervalBy = "residuals",
+    data: opt.FittedOn = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Where the outputs go.")] = Path(
+        "predicted.csv"
+    ),
+    plot: Annotated[bool, typer.Option("--plot", help="Draw them beside it, as .png.")] = False,
+    time: opt.FileTime = None,
+    Ts: opt.FileTs = None,
+    sheet: opt.FileSheet = None,
+    force: opt.Force = False,
+) -> None:
+    """Predict the outputs of a file some steps ahead, from its inputs and its outputs up to then.
+
+    The model is corrected by what it did not foresee, x(k+1) = f(x(k), u(k)) + K (y(k) - y_predicted(k)). K is
+    estimated each time, on the run's training record, and chosen on its validation record. Beside the errors stand
+    those of persistence, y(k) = y(k - N).
+    """
+    from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.errors import InputError
+    from nnss_cli.files import require_writable, write_text
+    from nnss_cli.report.validation import gain_lines, step_rows
+    from nnss_cli.trained import load, read_record
+    from nnss_cli.trained.simulate import output_table
+    from nnss_cli.validation.predict import predict_record
+    from nnss_cli.validation.trained import forecaster
+
+    figure_path = out.with_suffix(".png")
+    for path in [out, *[figure_path] * plot]:
+        if path.exists() and not force:
+            raise InputError(f"'{path}' exists already: name another file with --out, or --force to replace it")
+    trained = load(model)
+    record = read_record(trained, file, time=time, Ts=Ts, sheet=sheet)
+    given = None if data is None else read_record(trained, data, sheet=sheet)
+    predictor = forecaster(trained, given)
+    found = predict_record(predictor, record, horizon, interval, interval_by)
+    require_writable(out.parent)
+    write_text(out, output_table(trained, found.y, found.limits.pair if found.limits else None))
+    print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
+    for line in gain_lines(predictor.gains) + (found.limits.told(trained.channels) if found.limits else []):
+        console.print(line, soft_wrap=True, highlight=False)
+    if plot:
+        from nnss_cli.report.figures import close_figure, save_figure
+        from nnss_cli.report.simulation import draw_simulated
+
+        figure = draw_simulated(
+            found.seconds(trained.Ts), record.u, found.y, record.y, trained.channels, trained.label,
+            f"{horizon} step{'s' * (horizon != 1)} ahead",
+            (*found.limits.pair, found.limits.name) if found.limits else None,
+        )  # fmt: skip
+        save_figure(figure, figure_path)
+        close_figure(figure)
+    for path in [out, *[figure_path] * plot]:
+        console.print(str(path), soft_wrap=True, highlight=False)

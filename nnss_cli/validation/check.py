@@ -1,0 +1,98 @@
+"""A trained model put to the test on a record: errors, residuals, poles, linearisations, what linear models reach.
+
+The residuals are the errors one step ahead, of the predictor with its noise model (`gain`): those of the simulation are
+coloured wherever something but white noise on the outputs disturbs the plant, and that is no fault of a model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from nnss_cli.baselines.linear_model import LinearModel
+from nnss_cli.datasets.record import Record, Scaling
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.run import score_outputs
+from nnss_cli.validation.limit import linear_limits
+from nnss_cli.validation.linearisation import linearisations, pole_map
+from nnss_cli.validation.predictor import require_finite, step_table
+from nnss_cli.validation.residuals import dependence, profile, whiteness
+from nnss_cli.validation.result import OutputCheck, Validation
+from nnss_cli.validation.trained import Forecaster
+from nnss_cli.validation.verdict import stated, verdict
+
+HORIZONS = 1, 2, 5, 10, 20
+FORGOTTEN = 0.01  # of the initial state's error, before residuals are looked at
+BAND = 0.9
+SHORTEST = 20  # samples of an experiment beyond the init window
+
+
+def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validation:
+    """Put a model to the test.
+
+    Args:
+        found: the model with its predictor.
+        records: one or more experiments, physical units.
+        name: what the records are called.
+    """
+    trained, w = found.trained, found.trained.init_window
+    shortest = min(map(len, records))
+    if shortest < w + SHORTEST:
+        raise InputError(
+            f"{name}: {shortest} samples are too few to validate on: expected {w + SHORTEST} or more, {SHORTEST} "
+            "beyond those that tell the initial state"
+        )
+    simulated = [trained.model.simulate(record.u, record.y[:w]) for record in records]
+    for simulation in simulated:
+        require_finite("simulation", simulation.y)
+    one_ahead = [found.predict(record, 1) for record in records]
+    rates = tuple(gain.rate for gain in found.gains)
+    left_out = max(w, _forgetting(max(rates), shortest))
+    begin = w if w > 1 else 0
+    scaling = trained.scaling or Scaling.of(found.fitting.train)
+    scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
+    limits = linear_limits(records, trained.order)
+    if isinstance(trained.model, LinearModel):  # which has reached it, then
+        limits = [
+            score.fit_percent if limit is None else max(limit, score.fit_percent)
+            for limit, score in zip(limits, scores, strict=True)
+        ]
+    outputs = []
+    for i, (channel, unit) in enumerate(zip(trained.channels.outputs, trained.channels.output_units, strict=True)):
+        errors = [(r.y - p)[left_out:, i] for r, p in zip(records, one_ahead, strict=True)]
+        free = [(r.y - s.y)[left_out:, i] for r, s in zip(records, simulated, strict=True)]
+        inputs = [[r.u[left_out:, j] for r in records] for j in range(len(trained.channels.inputs))]
+        states = [[s.x[left_out:, j] for s in simulated] for j in range(simulated[0].x.shape[1])]
+        pooled = np.concatenate(errors)
+        outputs.append(
+            OutputCheck(
+                channel, unit, scores[i].rmse, float(scaling.y_std[i]), scores[i].fit_percent, limits[i],
+                float(whiteness(free).correlation[0]), tuple(dependence(free, u).p_value for u in inputs),
+                float(np.sqrt(np.mean(pooled**2))), whiteness(errors), tuple(dependence(errors, u) for u in inputs),
+                tuple(profile(pooled, np.concatenate(u)) for u in inputs),
+                tuple(profile(pooled, np.concatenate(x)) for x in states),
+            )
+        )  # fmt: skip
+    steps = step_table(found.predictor, records, [h for h in HORIZONS if h < shortest - w] or [1], w)
+    poles = pole_map(trained, records, simulated)
+    linear = linearisations(trained, records)
+    tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)
+    radius = float(np.abs(poles).max()) if poles.size else math.nan
+    try:
+        band = found.limits_of_simulation(records[0], BAND)
+    except InputError:  # too short a validation record for it
+        band = None
+    return Validation(
+        trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
+        verdict(outputs, steps, tests, trained.order, radius, trained.channels, linear),
+        tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
+        np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,
+    )  # fmt: skip
+
+
+def _forgetting(rate: float, shortest: int) -> int:
+    """Samples after which the observer's initial error is a hundredth, a fifth of the record at most."""
+    needed = math.ceil(math.log(FORGOTTEN) / math.log(rate)) if 0 < rate < 1 else 0
+    return min(needed, shortest // 5)

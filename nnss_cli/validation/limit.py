@@ -1,0 +1,89 @@
+"""What any linear model could reach on a record: by coherence, and by linear models fitted to this very record.
+
+Coherence says which share of an output's power the inputs leave unexplained linearly, S_yy (1 − γ²) summed over the
+frequencies; but what outlasts its segments passes for unexplained, which on short records of slow plants is much. A
+linear model that was fitted to the record and simulates it better than that is a proof that more can be reached. The
+larger of both is the limit that is told: at least as much can be reached, perhaps more.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
+from nnss_cli.baselines.ssest import ssest
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.baselines.subspace import Horizon
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.inspection_dynamics import excerpt, multiple_coherence, welch
+
+SAMPLES = 2048  # that linear models are fitted to
+ORDERS = 2, 4, 6  # of N4SID, beside SSEST of the model's own and one more
+
+
+def linear_limits(records: Sequence[Record], order: int) -> list[float | None]:
+    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the best linear model, by output; None where nothing can be said.
+
+    Args:
+        records: experiments, any units.
+        order: of the model that is compared.
+    """
+    by_coherence, by_fit = _coherence(records), _fitted(records, order)
+    found: list[float | None] = []
+    for i in range(records[0].output_count):
+        known = [value for value in (by_coherence[i], by_fit[i]) if value is not None]
+        found.append(max(known) if known else None)
+    return found
+
+
+def _coherence(records: Sequence[Record]) -> list[float | None]:
+    r, m = records[0].input_count, records[0].output_count
+    parts = [np.concatenate([record.u, record.y], axis=1) for record in records]
+    everything = np.concatenate(parts)
+    mean, deviation = everything.mean(axis=0), everything.std(axis=0)
+    alive = deviation > 0
+    used = int(alive[:r].sum())
+    if not used:
+        return [None] * m
+    spectra = welch([((part - mean) / np.where(alive, deviation, 1))[:, alive] for part in parts], used)
+    found: list[float | None] = []
+    for i in range(m):
+        unexplained = None
+        if spectra is not None and alive[r + i]:
+            _, unexplained = multiple_coherence(spectra, used, int(alive[r : r + i].sum()))
+        found.append(None if unexplained is None else 100 * (1 - math.sqrt(unexplained)))
+    return found
+
+
+def _fitted(records: Sequence[Record], own: int) -> list[float | None]:
+    r, m = records[0].input_count, records[0].output_count
+    parts = excerpt([np.concatenate([record.u, record.y], axis=1) for record in records], SAMPLES, r)
+    cut = tuple(Record(part[:, :r], part[:, r:], records[0].Ts) for part in parts)
+    best = np.full(m, -np.inf)
+    if not cut:
+        return [None] * m
+    scaled = tuple(map(Scaling.of(cut).apply, cut))
+    spread = _rms([record.y - record.y.mean(axis=0) for record in scaled])
+    ways: list[Callable[[], LinearStateSpace]] = [functools.partial(ssest, scaled, scaled, n) for n in (own, own + 1)]
+    for order in ORDERS:
+        for horizon in (matlab_horizon(order, r, m), Horizon(4 * order, 4 * order, True, "moesp")):
+            ways.append(functools.partial(n4sid, scaled, order, horizon))
+    for way in ways:
+        try:
+            model = way()
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        error = _rms([each.y - model.simulate(each.u, model.initial_state(each))[0] for each in scaled])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fit = 100 * (1 - error / spread)
+        best = np.maximum(best, np.where(np.isfinite(fit), fit, -np.inf))
+    return [float(value) if math.isfinite(value) else None for value in best]
+
+
+def _rms(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))

@@ -1,0 +1,270 @@
+"""A trained model with its predictor and its bands: from the records of its run, or from a record that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, cast, get_args
+
+import numpy as np
+
+from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
+from nnss_cli.errors import InputError, unknown
+from nnss_cli.trained import TrainedModel
+from nnss_cli.trained.simulate import Simulated
+from nnss_cli.validation.bands import Band, calibrate
+from nnss_cli.validation.gain import Gain, estimate_gain
+from nnss_cli.validation.predictor import Predictor, require_finite
+from nnss_cli.validation.stepping import steppers_of
+
+FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
+
+BandScale: TypeAlias = Literal["residuals", "ensemble"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """What a predictor and its bands are made on."""
+
+    train: tuple[Record, ...]
+    """K is fitted on these, physical units."""
+    val: tuple[Record, ...]
+    """K is chosen, and bands are calibrated, on these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forecaster:
+    """A predictor, and what is known of it."""
+
+    trained: TrainedModel
+    """The model."""
+    predictor: Predictor
+    """With the gains."""
+    gains: tuple[Gain, ...]
+    """One for each member."""
+    fitting: Fitting
+    """Where they come from."""
+
+    def predict(self, record: Record, horizon: int | None) -> FloatArray:
+        """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
+        return self.predictor.predict(record.u, record.y, horizon, self.trained.init_window)
+
+    def limits(self, record: Record, horizon: int | None, level: float, scale: str = "residuals") -> Limits:
+        """The band around predictions `horizon` steps ahead, from the validation records; see `interval`."""
+        by = band_scale(scale)
+        band = interval(self.trained, self.fitting.val, level, by, horizon, self.predictor)
+        predicted, spread = predicted_with_spread(self.trained, record, horizon, by, self.predictor)
+        return Limits.of(band, predicted, spread, record.y, self.trained.init_window)
+
+    def limits_of_simulation(self, record: Record, level: float) -> Limits:
+        """The band around the free simulation of a record."""
+        band = interval(self.trained, self.fitting.val, level)
+        y = self.trained.model.simulate(record.u, record.y[: self.trained.init_window]).y
+        return Limits.of(band, y, None, record.y, self.trained.init_window)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """A band around outputs, and how many measured ones it held."""
+
+    band: Band
+    """How wide, and from how many blocks."""
+    low: FloatArray
+    """Lower limits (K, m), physical units."""
+    high: FloatArray
+    """Upper limits (K, m), physical units."""
+    held: FloatArray | None
+    """Share of the measured outputs within (m,), the init window left out; None where nothing was measured."""
+
+    @classmethod
+    def of(
+        cls, band: Band, y: FloatArray, spread: FloatArray | None, measured: FloatArray | None, init_window: int
+    ) -> Limits:
+        """Around outputs y (K, m), with an ensemble's spread where the band follows it."""
+        low, high = band.limits(y, spread)
+        held = None
+        if measured is not None and len(measured) > init_window:
+            held = np.mean(((low <= measured) & (measured <= high))[init_window:], axis=0)
+        return cls(band, low, high, held)
+
+    @property
+    def pair(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper limits."""
+        return self.low, self.high
+
+    @property
+    def name(self) -> str:
+        """For legends."""
+        return f"band of {100 * self.band.level:g} %"
+
+    def told(self, channels: Channels) -> list[str]:
+        """A line for each output."""
+        lines = []
+        for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
+            width = "the members' spread" if self.band.floor is not None else "" if unit == "–" else unit
+            half = f"{self.band.half_width[i]:.4g} {'× ' if self.band.floor is not None else ''}{width}".strip()
+            seen = "" if self.held is None else f"; it holds {100 * self.held[i]:.1f} % here"
+            lines.append(
+                f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
+                f"the validation record{seen}"
+            )
+        return lines
+
+
+def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:
+    """The training and validation records of a model's run, or the two parts of a record that is given.
+
+    Raises:
+        InputError: neither is there, or the record is too short.
+    """
+    if data is not None:
+        first = int(FITTED * len(data))
+        least = trained.init_window + 1
+        if min(first, len(data) - first) <= least:
+            raise InputError(
+                f"the record to fit on has {len(data)} samples: expected at least {int(least / (1 - FITTED)) + 2}, so "
+                "that both parts are longer than the init window"
+            )
+        return Fitting((data[:first],), (data[first:],))
+    kept = trained.records()
+    if not kept.get("train") or not kept.get("val"):
+        raise InputError(
+            f"'{trained.folder}' keeps no training and validation records: give a record that the gain and the bands "
+            "may be fitted on, with --data FILE"
+        )
+    return Fitting(kept["train"], kept["val"])
+
+
+def records_to_validate(trained: TrainedModel, split: str = "") -> tuple[str, tuple[Record, ...]]:
+    """The records of a split of the model's run, and its name: by default the first test set, else validation.
+
+    Raises:
+        InputError: the run keeps no records, or none of that name.
+    """
+    kept = trained.records()
+    if not kept:
+        raise InputError(f"'{trained.folder}' keeps no records: name a FILE to validate on")
+    if split and split not in kept:
+        raise unknown("split", split, kept)
+    name = split or next((name for name in kept if name not in FITTED_ON), "val")
+    return name, kept[name]
+
+
+def forecaster(trained: TrainedModel, data: Record | None = None) -> Forecaster:
+    """The predictor of a trained model: its gain is estimated anew, deterministically, and kept nowhere.
+
+    Args:
+        trained: the model.
+        data: a record to fit on, instead of those of its run.
+
+    Raises:
+        InputError: there is nothing to fit on, or the model is of a kind whose step is not known.
+    """
+    steppers = steppers_of(trained.model)
+    fitting = fitting_records(trained, data)
+    gains = tuple(estimate_gain(each, fitting.train, fitting.val, trained.init_window) for each in steppers)
+    return Forecaster(trained, Predictor(trained.model, tuple(gain.K for gain in gains)), gains, fitting)
+
+
+def simulator(trained: TrainedModel) -> Predictor:
+    """The predictor with K = 0, which only simulates."""
+    steppers = steppers_of(trained.model)
+    return Predictor(trained.model, tuple(np.zeros((each.size, each.outputs)) for each in steppers))
+
+
+def band_scale(name: str) -> BandScale:
+    """The name of a band's scale.
+
+    Raises:
+        InputError: it is unknown.
+    """
+    if name not in get_args(BandScale):
+        raise unknown("interval-by", name, get_args(BandScale))
+    return cast(BandScale, name)
+
+
+def simulation_limits(
+    trained: TrainedModel, found: Simulated, level: float, scale: str = "residuals", data: Record | None = None
+) -> Limits:
+    """The band around a simulated file.
+
+    Args:
+        trained: the model.
+        found: the simulation.
+        level: share of samples that it is to hold.
+        scale: residuals or ensemble.
+        data: a record to calibrate on, instead of the validation records of the run.
+
+    Raises:
+        InputError: as `interval`; there is nothing to calibrate on; or an ensemble's spread is asked for a simulation
+            from rest.
+    """
+    by = band_scale(scale)
+    val = fitting_records(trained).val if data is None else (data,)
+    band = interval(trained, val, level, by)
+    spread = None
+    if by == "ensemble":
+        if found.measured is None:
+            raise InputError("interval-by ensemble: expected a file with all its outputs, found some missing")
+        record = Record(found.u, found.measured, trained.Ts)
+        spread = predicted_with_spread(trained, record, None, by)[1]
+    return Limits.of(band, found.y, spread, found.measured, trained.init_window)
+
+
+def interval(
+    trained: TrainedModel,
+    val: Sequence[Record],
+    level: float,
+    scale: BandScale = "residuals",
+    horizon: int | None = None,
+    predictor: Predictor | None = None,
+) -> Band:
+    """The band ŷ ± … of a simulation, or of predictions, from validation records that have not trained the model.
+
+    Samples of the init window do not count, since they tell the initial state.
+
+    Args:
+        trained: the model.
+        val: validation records, physical units.
+        level: share of samples that it is to hold.
+        scale: constant half-width (residuals), or following the spread of an ensemble's members.
+        horizon: steps ahead; None for the simulation.
+        predictor: for a horizon.
+
+    Raises:
+        InputError: the level is out of range, the records are too short for it, or the model is no ensemble.
+    """
+    w = trained.init_window
+    errors, spreads = [], []
+    for record in val:
+        predicted, spread = predicted_with_spread(trained, record, horizon, scale, predictor)
+        errors.append((record.y - predicted)[w:])
+        spreads.append(None if spread is None else spread[w:])
+    if scale == "residuals":
+        return calibrate(errors, level)
+    return calibrate(errors, level, [spread for spread in spreads if spread is not None])
+
+
+def predicted_with_spread(
+    trained: TrainedModel, record: Record, horizon: int | None, scale: BandScale, predictor: Predictor | None = None
+) -> tuple[FloatArray, FloatArray | None]:
+    """ŷ (K, m) and, where a band is to follow it, the deviation of an ensemble's members (K, m).
+
+    Raises:
+        InputError: a spread is asked of one model alone.
+    """
+    w = trained.init_window
+    if scale == "residuals":
+        if horizon is None:
+            simulated = trained.model.simulate(record.u, record.y[:w]).y
+            require_finite("simulation", simulated)
+            return simulated, None
+        assert predictor is not None
+        return predictor.predict(record.u, record.y, horizon, w), None
+    each = (predictor or simulator(trained)).predict_each(record.u, record.y, (horizon,), w)[0]
+    if len(each) < 2:
+        raise InputError(
+            "interval: a band that follows an ensemble's spread needs an ensemble of two members at least, found one "
+            "model: train nnss-ensemble, or leave --interval-by out"
+        )
+    return each.mean(axis=0), each.std(axis=0, ddof=1)

@@ -1,0 +1,274 @@
+"""`nnss predict`, `nnss validate`, `--interval`: what they write and say, when they fail, what they refuse."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from nnss_cli.datasets.record import Dataset, Record
+from safetensors.numpy import load_file, save_file
+
+from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.trained import load
+from nnss_cli.validation.residuals import dependence, whiteness
+from nnss_cli.validation.trained import forecaster
+
+
+def write(record: Record, path: Path) -> Path:
+    pd.DataFrame({"y1": record.y[:, 0], "u1": record.u[:, 0]}).to_csv(path, index=False, float_format="%.17g")
+    return path
+
+
+@pytest.fixture
+def new(tmp_path: Path, plant_data: Callable[..., Dataset]) -> Path:
+    """A file of the test record."""
+    return write(plant_data().tests["test"][0], tmp_path / "new.csv")
+
+
+def test_predict_writes_what_the_predictor_predicts(
+    new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> None:
+    done = nnss("predict", plant_run(), new, "--horizon", "3", "--interval", "0.9", "--plot", "--out", "a/out.csv")
+    assert done.code == 0, done.err
+    record = plant_data().tests["test"][0]
+    found = pd.read_csv("a/out.csv")
+    assert list(found.columns) == ["time", "y1", "y1_low", "y1_high"]
+    expected = forecaster(load(plant_run())).predict(record, 3)[:, 0]
+    np.testing.assert_allclose(found["y1"], expected, rtol=1e-9)
+    held = np.mean((found["y1_low"] <= record.y[:, 0])[1:] & (record.y[:, 0] <= found["y1_high"])[1:])
+    assert f"it holds {100 * held:.1f} % here" in done.out
+    assert 0.85 < held < 0.95
+    assert Path("a/out.png").stat().st_size > 10_000
+    assert "persistence" in done.out
+    for horizon in ("1", "2", "3", "∞"):
+        assert f" {horizon} " in done.out
+
+
+def test_the_band_is_the_validation_records_alone(
+    new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> None:
+    """Another new record changes nothing of its width."""
+    record = plant_data().tests["test"][0]
+    write(Record(record.u, 50 * record.y, 0.5), Path("other.csv"))
+    for command in (("simulate",), ("predict", "--horizon", "2")):
+        widths = []
+        for file in (new, "other.csv"):
+            done = nnss(command[0], plant_run(), file, *command[1:], "--interval", "0.8", "--out", "p.csv", "--force")
+            assert done.code == 0, done.err
+            table = pd.read_csv("p.csv")
+            widths.append((table["y1_high"] - table["y1_low"]).round(9).unique())
+        np.testing.assert_array_equal(*widths)
+        assert len(widths[0]) == 1
+
+
+def test_simulate_with_an_interval(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    done = nnss("simulate", plant_run(), new, "--interval", "0.9", "--plot")
+    assert done.code == 0, done.err
+    assert "band of 90 %, y1: ± " in done.out
+    plain = nnss("simulate", plant_run(), new, "--out", "plain.csv")
+    assert plain.code == 0
+    np.testing.assert_array_equal(pd.read_csv("predicted.csv")["y1"], pd.read_csv("plain.csv")["y1"])
+    assert "band" not in plain.out
+
+
+def test_a_sound_model_passes(nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    done = nnss("validate", plant_run(order=2), "--out", "v.png")
+    assert (done.code, done.err) == (0, "")
+    assert "All 3 tests pass." in done.out
+    assert "RMSE/σ" in done.out
+    assert "σ (training)" in done.out
+    assert Path("v.png").stat().st_size > 50_000
+
+
+def test_a_model_of_too_low_an_order_fails_with_a_verdict(nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    done = nnss("validate", plant_run(order=1))
+    assert done.code == 1
+    assert "FAILS" in done.out
+    assert "dependent on 'u1': dynamics are missing; try order 2." in done.out
+    assert "a linear model could reach" in done.out
+    assert "Traceback" not in done.err
+
+
+def test_validate_as_json(
+    new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> None:
+    done = nnss("validate", plant_run(), new, "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert not Path("validation.png").exists()
+    assert found["passed"] is True
+    assert (found["record"], found["samples"]) == ("new.csv", 600)
+    (output,) = found["outputs"]
+    record, model = plant_data().tests["test"][0], load(plant_run())
+    rmse = np.sqrt(np.mean((model.simulate(record.u, record.y[0]).y - record.y) ** 2))
+    assert output["rmse"] == pytest.approx(rmse)
+    assert output["sigma"] == pytest.approx(plant_data().fitting.scaling.y_std[0])
+    assert output["fit_percent"] == pytest.approx(100 * (1 - rmse / record.y.std()))
+    assert found["steps"]["simulated"][0] == pytest.approx(
+        np.sqrt(np.mean((model.simulate(record.u, record.y[0]).y - record.y)[1:] ** 2))
+    )
+    poles = np.array(found["poles"])
+    assert np.hypot(poles[..., 0], poles[..., 1]).max() == pytest.approx(found["largest_pole"])
+    assert found["largest_pole"] == pytest.approx(model.model.system.spectral_radius())  # type: ignore[attr-defined]
+    assert len(found["operating_points"]) == 1  # of a linear model, one stands for all
+    assert found["operating_points"][0]["dc_gain"][0][0] == pytest.approx(15 / 2, rel=0.05)
+    same = json.loads(nnss("validate", plant_run(), "--json").out)
+    assert same["record"] == "test"
+    assert same["outputs"] == found["outputs"]
+
+
+def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    """Its simulation's errors are coloured, its one-step errors are white: the model passes."""
+    done = nnss("validate", plant_run(coloured=True), "--json")
+    found = json.loads(done.out)
+    assert found["outputs"][0]["simulation_r1"] > 0.4
+    assert found["tests"][0]["passed"], found["tests"]
+    assert found["gains"] != ["none"]
+    assert any("the predictor accounts for what disturbs the plant" in line for line in found["verdict"])
+    model = load(plant_run(coloured=True))
+    (record,) = model.records()["test"]
+    e, u = (signal[found["left_out"] :, 0] for signal in (record.y - forecaster(model).predict(record, 1), record.u))
+    (output,) = found["outputs"]
+    assert output["white"]["statistic"] == pytest.approx(whiteness([e]).statistic)
+    assert output["depends"][0]["statistic"] == pytest.approx(dependence([e], [u]).statistic)
+    assert output["residual_rmse"] == pytest.approx(np.sqrt(np.mean(e**2)))
+
+
+@pytest.fixture
+def ensemble(
+    tmp_path: Path, neural: Callable[..., NNSS], plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> Path:
+    """Two members that disagree, beside the records of a run."""
+    members = []
+    for seed in range(2):
+        member = neural(seed=seed)
+        with torch.no_grad():
+            for name, value in asdict(plant_data().fitting.scaling).items():
+                getattr(member, name).copy_(torch.tensor(value))
+        member.Ts = 0.5
+        members.append(member)
+    folder = tmp_path / "ensemble"
+    folder.mkdir()
+    Ensemble(tuple(members)).save(folder)
+    shutil.copy(plant_run() / "signals.safetensors", folder)
+    return folder
+
+
+def test_a_band_may_follow_an_ensemble(new: Path, nnss: Callable, ensemble: Path) -> None:
+    for command in ("simulate", "predict"):
+        done = nnss(command, ensemble, new, "--interval", "0.9", "--interval-by", "ensemble", "--force")
+        assert done.code == 0, done.err
+        assert "× the members' spread, from" in done.out
+        table = pd.read_csv("predicted.csv")
+        width = table["y1_high"] - table["y1_low"]
+        assert width.max() > 1.5 * width.min()
+        np.testing.assert_allclose((table["y1_high"] + table["y1_low"]) / 2, table["y1"], atol=1e-9)
+
+
+def test_each_member_of_an_ensemble_has_its_own_gain(new: Path, nnss: Callable, ensemble: Path) -> None:
+    done = nnss("validate", ensemble, new, "--json")
+    assert done.code == 1  # of random weights
+    found = json.loads(done.out)
+    assert len(found["gains"]) == len(found["observer_rates"]) == 2
+    assert found["steps"]["predicted"][0][0] < found["steps"]["simulated"][0]
+
+
+def test_validate_takes_a_split_of_the_run(nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    found = json.loads(nnss("validate", plant_run(), "--split", "val", "--json").out)
+    assert found["record"] == "val"
+    refused = nnss("validate", plant_run(), "--split", "night", "--json")
+    assert refused.code == 2
+    assert "unknown split 'night': choose from" in refused.err
+
+
+def test_a_model_alone_needs_a_record_to_fit_on(
+    new: Path, nnss: Callable, plant_run: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    for name in ("model.json", "model.safetensors"):
+        shutil.copy(plant_run() / name, folder)
+    refused = nnss("predict", folder, new)
+    assert refused.code == 2
+    assert "keeps no training and validation records: give a record" in refused.err
+    assert refused.err.count("\n") == 1
+    assert not Path("predicted.csv").exists()
+    assert nnss("predict", folder, new, "--data", new, "--interval", "0.9").code == 0
+    assert nnss("validate", folder, new, "--data", new, "--json").code in (0, 1)
+    assert nnss("validate", folder).code == 2
+    assert nnss("simulate", folder, new, "--interval", "0.9", "--data", new, "--force").code == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "told"),
+    [
+        ("predict", ("--horizon", "0"), "--horizon: expected 1 to 599 steps ahead"),
+        ("predict", ("--horizon", "600"), "--horizon: expected 1 to 599 steps ahead"),
+        ("predict", ("--interval", "90"), "interval: expected a share between 0 and 1, such as 0.9, found 90"),
+        ("predict", ("--interval", "0.9999"), "0.9999 needs at least 9999 validation samples, found 599"),
+        ("predict", ("--interval", "0.9", "--interval-by", "hope"), "unknown interval-by 'hope'"),
+        ("predict", ("--interval", "0.9", "--interval-by", "ensemble"), "needs an ensemble of two members at least"),
+        ("predict", ("--ts", "0.1"), "sampling time 0.1 s, expected 0.5 s"),
+        ("simulate", ("--interval", "1"), "interval: expected a share between 0 and 1"),
+        ("validate", ("--ts", "0.1"), "sampling time 0.1 s, expected 0.5 s"),
+        ("validate", ("--split", "test"), "expected a FILE or --split, found both"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(
+    command: str, options: tuple[str, ...], told: str, new: Path, nnss: Callable, plant_run: Callable[..., Path]
+) -> None:
+    done = nnss(command, plant_run(), new, *options)
+    assert done.code == 2
+    assert told in done.err
+    assert done.err.count("\n") == 1
+    assert not list(Path().glob("*.csv"))
+    assert not list(Path().glob("*.png"))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda table: table.rename(columns={"y1": "level"}),
+            "expected the columns u1, y1, the model's channels, found",
+        ),
+        (lambda table: table.assign(y1=table["y1"].where(table.index != 7)), "y1"),
+        (lambda table: table[:1], "samples are too few"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused_in_one_line(
+    change: Callable, told: str, new: Path, nnss: Callable, plant_run: Callable[..., Path]
+) -> None:
+    change(pd.read_csv(new)).to_csv("bad.csv", index=False)
+    for command in ("predict", "validate"):
+        done = nnss(command, plant_run(), "bad.csv")
+        assert done.code == 2, done.out
+        assert told in done.err
+        assert done.err.count("\n") == 1
+
+
+def test_a_model_that_runs_away_is_told_in_one_line(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    folder = Path(shutil.copytree(plant_run(), "copy"))
+    tensors = load_file(folder / "model.safetensors")
+    save_file(tensors | {"A": 1e9 * np.eye(2), "C": np.array([[1.0, 1e-9]])}, folder / "model.safetensors")
+    for command in (("predict", folder, new, "--horizon", "300"), ("validate", folder, new)):
+        done = nnss(*command)
+        assert done.code == 2, done.out
+        assert "leaves the finite range at sample" in done.err
+        assert done.err.count("\n") == 1
+    assert not list(Path().glob("*.[cp][sn][vg]"))
+
+
+def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    assert nnss("predict", plant_run(), new).code == 0
+    assert nnss("predict", plant_run(), new).code == 2
+    assert nnss("predict", plant_run(), new, "--force").code == 0
+    Path("validation.png").write_bytes(b"mine")
+    assert "exists already" in nnss("validate", plant_run(), new).err
+    assert Path("validation.png").read_bytes() == b"mine"
