@@ -10,7 +10,7 @@ import numpy as np
 
 from nnss_cli.baselines.schur import schur_margin
 from nnss_cli.datasets.record import FloatArray
-from nnss_cli.elementary import Expression, cholesky, dense, rows, solve, solve_lower, solve_upper
+from nnss_cli.elementary import Expression, cholesky, columns, dense, rows, solve, solve_lower, solve_upper
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.system import Parts
 
@@ -31,6 +31,8 @@ def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
             ("encoder", range(len(a.encoder) + 1)),
         )
     )
+    if a.integrator:
+        step, drift = arrays["step_size"][:, None], arrays["generator_drift.bias"][:, None]
     scheduled = a.scheduling.split("+")
     E, e = np.eye(m), np.zeros(m)  # a chain of linear layers is one
     for weight, bias in encoder:
@@ -69,16 +71,28 @@ def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
         return solve_lower(L1, gram[:n, n:] @ solve_upper(L2, b)) * a.gamma
 
     def advance(x: Expression, u: Expression, y: Expression) -> tuple[Expression, Expression]:
+        x, w = x[:n, :], x[n:, :] if a.integrator else x
         W, V, B, C, D = generated(x, u, y)
         output = C @ x
-        return times_A(W, V, x) + B @ u, output + D @ u if a.feedthrough else output
+        if a.feedthrough:
+            output = output + D @ u
+        following = times_A(W, V, x) + B @ u
+        if a.integrator:
+            return rows(following, w + (output + output.constant(drift)) * output.constant(step)), w
+        return following, output
 
     def frozen(x: Expression, u: Expression, y: Expression) -> tuple[Expression, ...]:
-        W, V, B, C, D = generated(x, u, y)
-        return times_A(W, V, x.constant(np.eye(n))), B, C, D
+        W, V, B, C, D = generated(x[:n, :], u, y)
+        A = times_A(W, V, x.constant(np.eye(n)))
+        if not a.integrator:
+            return A, B, C, D
+        zero, one, s = x.constant(np.zeros((n, m))), np.eye(m), x.constant(np.diag(step[:, 0]))
+        outputs = x.constant(np.hstack([np.zeros((m, n)), one]))
+        A = rows(columns(A, zero), columns(s @ C, x.constant(one)))
+        return A, rows(B, s @ D), outputs, x.constant(np.zeros((m, r)))
 
     def initial(y0: Expression, u0: Expression) -> Expression:
         del u0
-        return dense(E, e, y0)
+        return rows(dense(E, e, y0), y0) if a.integrator else dense(E, e, y0)
 
-    return Parts(advance, initial, frozen, n, "y" in scheduled, a.feedthrough)
+    return Parts(advance, initial, frozen, a.states, "y" in scheduled, a.feedthrough and not a.integrator)

@@ -255,6 +255,8 @@ class NNSS(nn.Module):
         architecture = Architecture(**settings)
         model = cls(architecture, scaling, channels, description["Ts"])
         expected = {name: (tuple(own.shape), architecture.dtype) for name, own in model.named_parameters()}
+        if architecture.integrator:
+            expected["step_size"] = ((architecture.outputs,), architecture.dtype)
         require_arrays(tensors, expected | scaling_arrays(architecture.inputs, architecture.outputs))
         model.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in tensors.items()})
         return model

@@ -106,9 +106,9 @@ class Neural:
     def __init__(self, model: NNSS, disturbed: bool = False) -> None:
         self.model, self.scaling = model, model.scaling
         a = model.architecture
-        self.outputs, self.order, self.has_disturbance = a.outputs, a.order, disturbed
+        self.outputs, self.order, self.has_disturbance = a.outputs, a.states, disturbed
         self.with_y = "y" in a.scheduling.split("+")
-        self.size = a.order + a.outputs * (self.with_y + disturbed)
+        self.size = a.states + a.outputs * (self.with_y + disturbed)
 
     def disturbed(self) -> Neural:
         """See `Stepper`."""

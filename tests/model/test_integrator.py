@@ -154,3 +154,24 @@ def test_the_plain_engine_trains_one_by_adam_too(driven: FittingData) -> None:
     training = train_nnss(driven, 2, 0, recipe)
     assert training.model.architecture.integrator
     assert training.train_loss[-1] < training.train_loss[0]
+
+
+@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize("scheduling", ["x", "x+u"])
+def test_in_elementary_operations_it_is_the_same_model(scheduling: str, stability: str) -> None:
+    """What is linearised and exported."""
+    model, random = make(scheduling=scheduling, stability=stability), np.random.default_rng(4)
+    system, u = model.elementary(), random.standard_normal((80, 2))
+    first = random.standard_normal(2)
+    expected = model.simulate(u, first)
+    y, z = system.simulate(u, system.start(first, u[0]))
+    np.testing.assert_allclose(y, expected.y, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(z, expected.x, rtol=0, atol=1e-10)
+    A, B, C, D = (system.frozen(z=z[5][:, None], u=u[5][:, None])[name] for name in "ABCD")
+    np.testing.assert_allclose(A[3:], np.hstack([A[3:, :3], np.eye(2)]))
+    assert not A[:3, 3:].any()
+    assert not D.any()
+    drift = np.append(np.zeros(3), (model.step_size * model.generator_drift.bias.detach()).numpy())
+    np.testing.assert_allclose(A @ z[5] + B @ (u[5] - system.u_mean) + drift, z[6], rtol=0, atol=1e-10)
+    assert C.shape == (2, 5)
+    assert abs(np.linalg.eigvals(system.jacobians(z[5], u[5])[0]) - 1).min() < 1e-9
