@@ -7,7 +7,9 @@ Both are data: nothing in them is ever executed. model.json has, beside what the
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from nnss_cli.files import write_bytes, write_text
 
 Tensors = dict[str, NDArray[Any]]
 
+_TRAINING: ContextVar[dict[str, Any] | None] = ContextVar("training", default=None)
 FORMAT = 2
 """Version of the layout; `read_model` reads all up to it."""
 
@@ -26,20 +29,23 @@ FORMAT = 2
 def write_model(folder: Path, description: dict[str, Any], tensors: Tensors) -> None:
     """Write a model's description and its arrays."""
     write_tensors(folder / "model.safetensors", tensors)
-    _write_description(folder, {"format": FORMAT} | description)
+    training = _TRAINING.get()
+    content = {"format": FORMAT} | description | ({} if training is None else {"training": training})
+    write_text(folder / "model.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
-def write_training(folder: Path, training: dict[str, Any]) -> None:
-    """Add to a model's folder what it was trained on and how.
-
-    Raises:
-        InputError: there is no model in it.
-    """
-    _write_description(folder, {"format": FORMAT} | _read_description(folder) | {"training": training})
+@contextmanager
+def trained_as(training: dict[str, Any]) -> Iterator[None]:
+    """Models that are written meanwhile keep with them what they were trained on and how."""
+    token = _TRAINING.set(training)
+    try:
+        yield
+    finally:
+        _TRAINING.reset(token)
 
 
 def read_training(folder: Path) -> Any:
-    """What `write_training` wrote, unchecked; None in a folder of version 1.
+    """What `trained_as` was given, unchecked; None in a folder of version 1.
 
     Raises:
         InputError: there is no model in it.
@@ -57,10 +63,6 @@ def read_model(folder: Path) -> tuple[dict[str, Any], Tensors]:
     for name in ("format", "training"):  # no business of the kind of model
         description.pop(name, None)
     return description, read_tensors(folder / "model.safetensors")
-
-
-def _write_description(folder: Path, description: dict[str, Any]) -> None:
-    write_text(folder / "model.json", json.dumps(description, indent=2, ensure_ascii=False) + "\n")
 
 
 def _read_description(folder: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.origin import write_origin
+from nnss_cli.experiment.origin import with_origin
 from nnss_cli.experiment.provenance import Watch
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
@@ -93,12 +93,11 @@ def execute(
         spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), made, fit.history,
         asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
     )  # fmt: skip
-    with store.writing():
+    with store.writing(), together():
         if fit.model is not None:
-            fit.model.save(store.run_folder(spec))
-            write_origin(store.run_folder(spec), spec, dataset.fitting.init_window, made, dataset.notes, fit.remarks)
-        with together():
-            store.write(result, signals)
+            with with_origin(spec, dataset.fitting.init_window, made, dataset.notes, fit.remarks):
+                fit.model.save(store.run_folder(spec))
+        store.write(result, signals)
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import FORBID, RunSpec
 from nnss_cli.experiment.schema import parse_result, validated
-from nnss_cli.modelfile import read_training, write_training
+from nnss_cli.modelfile import read_training, trained_as
 
 
 @dataclass(frozen=True)
@@ -44,20 +45,15 @@ class Origin:
     """What the fit had to tell."""
 
 
-def write_origin(
-    folder: Path, spec: RunSpec, init_window: int, provenance: dict[str, str], notes: tuple[str, ...],
-    remarks: tuple[str, ...],
-) -> None:  # fmt: skip
-    """Add it to the folder of a model that has just been saved.
-
-    Raises:
-        InputError: there is no model in it.
-    """
+def with_origin(
+    spec: RunSpec, init_window: int, provenance: dict[str, str], notes: tuple[str, ...], remarks: tuple[str, ...]
+) -> AbstractContextManager[None]:
+    """Models that are saved meanwhile keep it with them."""
     origin = Origin(
         spec.dataset, spec.protocol, spec.method, spec.version, spec.order, spec.seed, spec.settings, spec.data,
         init_window, provenance, notes, remarks,
     )  # fmt: skip
-    write_training(folder, asdict(origin))
+    return trained_as(asdict(origin))
 
 
 def read_origin(folder: Path) -> Origin | None:
