@@ -23,6 +23,7 @@ from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
 from nnss_cli.baselines.statespace import LinearStateSpace, propagate, scored_residuals, simulation_rms
 from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.windows import beginnings
 
 Criterion: TypeAlias = Literal["trace", "det"]
 
@@ -315,13 +316,11 @@ def led(
         criterion: trace or det.
         feedthrough: estimate D as well.
     """
-    total = sum(len(record) for record in train)
-    if total <= 2 * LEAD:
+    if sum(len(record) for record in train) <= 2 * LEAD:
         return starts
-    shortest = starts[0].order + 2
-    beginnings = tuple(record[: max(shortest, len(record) * LEAD // total)] for record in train)
-    refined = [refine(start, beginnings, criterion, feedthrough) for start in starts]
-    values = [criterion_value(model, beginnings, criterion) for model in refined]
+    first = beginnings(train, LEAD, starts[0].order + 2)
+    refined = [refine(start, first, criterion, feedthrough) for start in starts]
+    values = [criterion_value(model, first, criterion) for model in refined]
     best = int(np.argmin(values))
     scale = abs(values[0]) if criterion == "trace" else 1.0
     return [refined[0]] if values[0] - values[best] <= SAME * scale else [refined[0], refined[best]]

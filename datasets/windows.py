@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +35,18 @@ def check_window(records: tuple[Record, ...], L: int) -> None:
             f"window: expected at most the {K} samples of {name}, found {L}; "
             f"use --window {K} or less, or --window 0 for whole records"
         )
+
+
+def beginnings(records: tuple[Record, ...], length: int, shortest: int) -> tuple[Record, ...]:
+    """What experiments begin with: `length` samples of all together, by their lengths, rounded up.
+
+    Args:
+        records: experiments, of more samples than that.
+        length: samples.
+        shortest: samples of each, at least, where it has as many.
+    """
+    total = sum(len(record) for record in records)
+    return tuple(record[: max(shortest, math.ceil(len(record) * length / total))] for record in records)
 
 
 def sliding_windows(records: tuple[Record, ...], L: int, stride: int) -> tuple[list[FloatArray], list[FloatArray]]:

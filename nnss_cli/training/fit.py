@@ -13,7 +13,7 @@ import torch
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
 from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
-from nnss_cli.datasets.windows import SHORTEST, sliding_windows
+from nnss_cli.datasets.windows import SHORTEST, beginnings, sliding_windows
 from nnss_cli.errors import InputError
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.initial import SINGULAR
@@ -117,12 +117,15 @@ def train_nnss(
     errors: dict[str, float] = {SIMPLEST: taken.error}
     won: list[str] = []
     unfinished: list[str] = []
+    alternatives = recipe.alternatives(min(map(len, first)))
     for name in worth_trying(data, order, recipe, first):
         if clock.up:
             unfinished.append(name)
             continue
-        changed = taken.recipe.replace(**recipe.alternatives(min(map(len, first)))[name])
-        tried = attempt(changed, taken.error)
+        changes = alternatives[name]
+        if taken.model.architecture.integrator and not taken.recipe.replace(**changes, integrator="no").integrates:
+            continue  # the optimiser of this alternative cannot train one
+        tried = attempt(taken.recipe.replace(**changes), taken.error)
         label = " with ".join([*won[-1:], ALTERNATIVES[name]])
         errors[label] = tried.error
         if pays(tried.error, taken.error):
@@ -186,8 +189,7 @@ def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]
     if recipe.lead and recipe.window == 0 and recipe.optimiser == "gauss-newton":
         length = recipe.lead
         while 2 * length <= total:
-            kept = [max(SHORTEST, math.ceil(len(record) * length / total)) for record in train]
-            found.append(tuple(record[:K] for record, K in zip(train, kept, strict=True)))
+            found.append(beginnings(train, length, SHORTEST))
             length *= 4
     return [*found, train]
 

@@ -245,6 +245,19 @@ def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch
         assert ("cold start taken: it lowers the validation error by more than 20%" in training.remarks) == taken
 
 
+def test_an_integrator_that_won_is_not_started_cold(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adam cannot train one in the compiled engine: what cannot be combined is not tried."""
+    data = small_data(K=150).fitting
+    monkeypatch.setattr(module, "longest_time_constant", lambda _: np.inf)
+    recipe = RECIPE.replace(initial="auto", integrator="auto", feedthrough="no", epochs=2, hidden=(40,))
+    assert worth_trying(data, 2, recipe, data.train) == ("integrator", "initial")
+    errors = {True: 0.5, False: 1.0}
+    monkeypatch.setattr(module, "free_run_rmse", lambda engine, *_: errors["generator_drift.bias" in engine.weights()])
+    training = train_nnss(data, 2, 0, recipe)
+    assert training.model.architecture.integrator
+    assert training.candidates == {"as it is": 1.0, "integrator": 0.5}
+
+
 def test_a_budget_ends_a_fit_and_says_what_it_left_out(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = fitting(small_data(), with_feedthrough)
     seconds = iter(range(10_000))
