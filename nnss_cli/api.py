@@ -117,19 +117,10 @@ def compare(
         InputError: whatever is wrong with the files or arguments, in one line.
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
-    dataset = prepared.dataset
     if seeds < 1 or jobs < 1:
         raise InputError(f"seeds and jobs: expected at least 1, found {seeds} and {jobs}")
     chosen = select(list(methods or ()))
-    changes = _changes(chosen, settings)
-    store = Store(Path(out), dataset.name, dataset.protocol)
-    todo = plan(
-        store, dataset, chosen, prepared.orders_or(orders), range(seeds), prepared.settings | changes, force
-    )  # fmt: skip
-    require_writable(store.folder)
-    sweep(todo.todo, dataset, store, jobs, lambda _: None, lambda _: None)
-    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
-    return Study(dataset, tuple(result for result in store.results() if result.spec.label in labels), store)
+    return _studied(prepared, chosen, prepared.orders_or(orders), range(seeds), settings, out, jobs, force)
 
 
 def fit(
@@ -166,18 +157,13 @@ def fit(
         NoModelError: the fit diverged or could not be done; the message says why.
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
-    dataset = prepared.dataset
     (chosen, *_) = select([method])
-    changes = _changes([chosen], settings)
-    store = Store(Path(out), dataset.name, dataset.protocol)
-    todo = plan(store, dataset, [chosen], [order], [seed], prepared.settings | changes, force)
-    require_writable(store.folder)
-    sweep(todo.todo, dataset, store, 1, lambda _: None, lambda _: None)
+    study = _studied(prepared, [chosen], [order], [seed], settings, out, 1, force)
     wanted = (method, order, seed if chosen.seeded else 0)
-    result = next(r for r in store.results() if (r.spec.method, r.spec.order, r.spec.seed) == wanted)
+    result = next(r for r in study.results if (r.spec.method, r.spec.order, r.spec.seed) == wanted)
     if result.status != "ok":
         raise NoModelError(f"{result.spec.label} {result.status}: {result.reason}")
-    return load(store.run_folder(result.spec))
+    return load(study.store.run_folder(result.spec))
 
 
 def inspect(files: str | Path | Sequence[str | Path], **record: Any) -> Seen:
@@ -205,6 +191,26 @@ def _prepared(data: Source, protocol: str, mirror: str | None, offline: bool, re
             )
         return Ready(data, ())
     return ready(_names(data), protocol, mirror, offline, _described(record))
+
+
+def _studied(
+    prepared: Ready,
+    methods: Sequence[Method],
+    orders: Sequence[int],
+    seeds: Sequence[int],
+    settings: Mapping[str, Any] | None,
+    out: str | Path,
+    jobs: int,
+    force: bool,
+) -> Study:
+    """Do the runs that are missing; the study of all that were asked for."""
+    dataset, changes = prepared.dataset, _changes(methods, settings)
+    store = Store(Path(out), dataset.name, dataset.protocol)
+    todo = plan(store, dataset, methods, orders, seeds, prepared.settings | changes, force)
+    require_writable(store.folder)
+    sweep(todo.todo, dataset, store, jobs, lambda _: None, lambda _: None)
+    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
+    return Study(dataset, tuple(result for result in store.results() if result.spec.label in labels), store)
 
 
 def _described(record: Mapping[str, Any]) -> dict[str, Any]:

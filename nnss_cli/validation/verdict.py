@@ -28,14 +28,14 @@ def stated(
         Stated(
             "residuals are white (Ljung-Box)",
             worst.white.p_value >= LEVEL / m,
-            f"p = {_p(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
+            f"{_p(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
         )
     )
     p, output, name = min(
         (found.p_value, each.name, channels.inputs[j]) for each in outputs for j, found in enumerate(each.depends)
     )
     tests.append(
-        Stated("residuals do not depend on the inputs", p >= LEVEL / (m * r), f"p = {_p(p)} ('{output}' on '{name}')")
+        Stated("residuals do not depend on the inputs", p >= LEVEL / (m * r), f"{_p(p)} ('{output}' on '{name}')")
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(steps.persistence[0] > 0, steps.predicted[0] / steps.persistence[0], np.inf)
@@ -171,4 +171,4 @@ def _colour(white: Whiteness) -> str:
 
 
 def _p(value: float) -> str:
-    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+    return "p < 1e-16" if value < 1e-16 else f"p = {value:.2g}"
