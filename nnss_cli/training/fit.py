@@ -292,7 +292,10 @@ class _Attempt:
     def gauss_newton(self, y: Sequence[FloatArray], iterations: int) -> None:
         """Gauss–Newton iterations from the weights as they are, outputs of the windows (L, m)."""
         integrator = self.model.architecture.integrator
-        gauss_newton(self.watch.engine, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder, integrator)
+        gauss_newton(
+            self.watch.engine, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder, integrator,
+            self.recipe.threads,
+        )  # fmt: skip
 
     def training(self, further: tuple[str, ...], candidates: dict[str, float]) -> Training:
         """What came of it, with the best weights in the model, and `further` remarks."""

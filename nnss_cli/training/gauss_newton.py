@@ -11,7 +11,9 @@ Source: L. Ljung, "System Identification", 2nd ed., 1999, ch. 7.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +21,8 @@ from nnss_cli.datasets.record import FloatArray
 from nnss_cli.training.encoder import Layers, encoder_map, regress_encoder, set_encoder
 from nnss_cli.training.engine import Engine
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
+
+Item = TypeVar("Item")
 
 ERRORS_A_PARAMETER = 8  # from which the curvature is taken, at least; all where there are fewer than twice as many
 
@@ -30,6 +34,7 @@ def gauss_newton(
     goes_on: Callable[[float], bool],
     fixed_encoder: bool = False,
     integrator: bool = False,
+    threads: int = 1,
 ) -> None:
     """Train the weights in `engine`.
 
@@ -40,6 +45,7 @@ def gauss_newton(
         goes_on: hears the mean square error of each accepted step; whether there is to be another.
         fixed_encoder: leave the encoder as it is.
         integrator: whether the initial states end with the first outputs, which are then free as well.
+        threads: 2 for derivatives that are found while others are summed up; the numbers are the same.
     """
     weights = engine.weights()
     vector = np.concatenate([array.ravel() for array in weights.values()]).astype(np.float64)
@@ -64,6 +70,8 @@ def gauss_newton(
         vector[:p] = point[:p]
         engine.place(vector)
         blocks = engine.sensitivities(point[p:].reshape(x0.shape))
+        if threads > 1:
+            blocks = ahead(blocks)
         equations, states = NormalEquations.summed(blocks, len(y), every)
         return equations, np.concatenate(states)
 
@@ -75,3 +83,12 @@ def gauss_newton(
         return goes_on(loss)
 
     levenberg_marquardt(evaluate, np.concatenate([vector[:p], x0.ravel()]), iterations, accepted)
+
+
+def ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """The same items in the same order, the next being made by a thread while one is used."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item

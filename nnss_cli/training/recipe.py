@@ -78,6 +78,10 @@ class Recipe:
     """Seconds after which no further candidate and no further epoch begins; 0 for no bound. Results then depend on the
     machine."""
 
+    threads: int = 1
+    """Threads of a Gauss–Newton fit, 1 or 2: the second finds the next stretch's derivatives while the first sums up.
+    The numbers are the same."""
+
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:
             raise unknown("engine", self.engine, ("auto", *ENGINES))
@@ -97,6 +101,8 @@ class Recipe:
             )
         if not self.budget >= 0:
             raise InputError(f"budget: expected seconds, or 0 for no bound, found {self.budget}")
+        if self.threads not in (1, 2):
+            raise InputError(f"threads: expected 1 or 2, found {self.threads}; --jobs uses more cores, a run each")
         for name in ("stride", "batch", "epochs", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: expected at least 1, found {getattr(self, name)}")

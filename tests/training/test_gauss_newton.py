@@ -1,7 +1,8 @@
 """Exact derivatives of simulated outputs, Gauss–Newton, the encoder by regression, warm starts."""
 
 import itertools
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from nnss_cli.training.encoder import encoder_map, regress_encoder, set_encoder
 from nnss_cli.training.engine import ReferenceEngine, free_run_rmse
 from nnss_cli.training.fast import FastEngine
 from nnss_cli.training.fit import train_nnss
-from nnss_cli.training.gauss_newton import gauss_newton
+from nnss_cli.training.gauss_newton import ahead, gauss_newton
 from nnss_cli.training.least_squares import Block, NormalEquations
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import linear_start, warm_start
@@ -196,3 +197,47 @@ def test_a_long_record_is_trained_with_the_curvature_of_some_samples(
     gauss_newton(engine, y, 40, goes_on)
     assert errors[-1] < 1e-5 * y.var()
     assert taken == {max(1, 3000 // (most * (engine.model_weights.generator_size + 1)))}
+
+
+@pytest.mark.parametrize("integrator", [False, True])
+def test_two_threads_give_the_same_numbers(integrator: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fast_module, "STRETCH", 16)
+    seen: set[int] = set()
+    exact = FastEngine.sensitivities
+
+    def watched(self: FastEngine, x0: np.ndarray) -> Iterator[Block]:
+        for block in exact(self, x0):
+            seen.add(threading.get_ident())
+            yield block
+
+    monkeypatch.setattr(FastEngine, "sensitivities", watched)
+    a = Architecture(2, 1, 1, (5,), (3,), dtype="float64", integrator=integrator)
+    u, y = signals(a, 2, 100)
+    trained, before = [], threading.active_count()
+    for threads in (1, 2):
+        seen.clear()
+        model = make(a)
+        tried, losses = FastEngine(model, list(u), list(y), Recipe(dtype="float64")), []
+
+        def goes_on(loss: float, losses: list[float] = losses) -> bool:
+            losses.append(loss)
+            return True
+
+        gauss_newton(tried, list(y), 5, goes_on, integrator=integrator, threads=threads)
+        assert (seen == {threading.get_ident()}) == (threads == 1)
+        assert threading.active_count() == before
+        trained.append((losses, tried.model_weights.vector.copy()))
+    assert len(trained[0][0]) == 5
+    assert trained[0][0] == trained[1][0]
+    assert np.array_equal(trained[0][1], trained[1][1])
+
+
+def test_what_goes_wrong_ahead_is_raised_where_the_item_is_asked_for() -> None:
+    def items() -> Iterator[int]:
+        yield 1
+        raise ArithmeticError("singular")
+
+    found = ahead(items())
+    assert next(found) == 1
+    with pytest.raises(ArithmeticError, match="singular"):
+        next(found)
