@@ -208,6 +208,9 @@ FIT_OPTIONS: dict[str, Any] = {
         str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."
     ),
     "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
+    "judge": _training(
+        str, "--judge", "validation|blocks", "What candidates are compared on; blocks: of training and validation both."
+    ),
     "threads": _training(int, "--threads", "1|2", "Of a fit, for long records; the numbers are the same."),
     "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 
-from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
 from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import SHORTEST, beginnings, sliding_windows
@@ -19,6 +18,7 @@ from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
+from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, pays, pooled, worth_trying
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
@@ -31,18 +31,6 @@ TRIAL = 0.25
 """Share of the epochs after which a candidate is given up that is behind the one before, or behind its own start."""
 FEW = 10
 """Epochs that say nothing of a start that they did not improve."""
-LEVEL = 0.01
-"""Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
-PAYS = 0.2
-"""What a further candidate must take off the validation error, relative."""
-SIMPLEST = "as it is"
-ALTERNATIVES = {
-    "feedthrough": "feedthrough",
-    "integrator": "integrator",
-    "scheduling": "scheduling on u",
-    "initial": "cold start",
-}
-"""Field of a recipe that leaves something open → the name of what is tried then."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +72,8 @@ def train_nnss(
     On the first stage the recipe's simplest candidate is trained, then each alternative that `worth_trying` names, as
     a change of the best so far; one is taken where it `pays`. The one taken goes through the other stages.
 
+    They are judged on validation, or by the RMSE over all `blocks`: each is trained on the others then as well.
+
     Args:
         data: train and validation records, physical units.
         order: number of states n.
@@ -98,45 +88,59 @@ def train_nnss(
     clock = _Clock(recipe.budget)
     train, val = data.normalised()
     first, *further = stages(train, recipe)
+    names = worth_trying(data, order, recipe, first)
+    parts = [(first, val)]
+    if names and recipe.judge == "blocks":
+        parts += blocks(first, val, data.init_window)
     epochs = 0
 
-    def attempt(candidate: Recipe, rival: float) -> _Attempt:
+    def judge(base: Recipe, alternative: str, rivals: list[float]) -> tuple[_Attempt, list[float]]:
+        """A candidate's training on the first part of the data, and its error on what each part holds out."""
         nonlocal epochs
-        tried = _Attempt(data, order, seed, candidate, first, val, rival, clock, _after(epochs, on_epoch))
-        if not clock.up:
-            tried.train(first, candidate.epochs)
-        epochs += len(tried.watch.losses)
-        return tried
+        tried: list[_Attempt] = []
+        for (records, held), rival in zip(parts, rivals, strict=True):
+            changes = recipe.alternatives(min(map(len, records))).get(alternative, {})
+            report = _after(epochs, on_epoch)
+            tried.append(_Attempt(data, order, seed, base.replace(**changes), records, held, rival, clock, report))
+            if not clock.up:
+                tried[-1].train(records, tried[-1].recipe.epochs)
+            epochs += len(tried[-1].watch.losses)
+        return tried[0], [one.error for one in tried]
 
-    taken = attempt(recipe.simplest(), math.inf)
+    taken, rivals = judge(recipe.simplest(), "", [math.inf] * len(parts))
     if clock.up and taken.samples == 0:
         raise InputError(
             f"budget: {recipe.budget:g} s are too few for one candidate, whose start alone took {clock.elapsed:.1f} s: "
             "give more, or --start random"
         )
-    errors: dict[str, float] = {SIMPLEST: taken.error}
+    lengths = [sum(map(len, held)) for _, held in parts]
+    errors: dict[str, float] = {SIMPLEST: pooled(rivals, lengths)}
     won: list[str] = []
     unfinished: list[str] = []
     alternatives = recipe.alternatives(min(map(len, first)))
-    for name in worth_trying(data, order, recipe, first):
+    for name in names:
         if clock.up:
             unfinished.append(name)
             continue
         changes = alternatives[name]
         if taken.model.architecture.integrator and not taken.recipe.replace(**changes, integrator="no").integrates:
             continue  # the optimiser of this alternative cannot train one
-        tried = attempt(taken.recipe.replace(**changes), taken.error)
+        tried, found = judge(taken.recipe, name, rivals)
+        if clock.up and len(parts) > 1:  # some part was not trained to its end
+            unfinished.append(name)
+            continue
         label = " with ".join([*won[-1:], ALTERNATIVES[name]])
-        errors[label] = tried.error
-        if pays(tried.error, taken.error):
-            taken = tried
+        errors[label] = pooled(found, lengths)
+        if pays(errors[label], pooled(rivals, lengths)):
+            taken, rivals = tried, found
             won.append(label)
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
             taken.train(records, max(1, taken.recipe.epochs // 2**index))
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
-    remarks = tuple(f"{name} taken: it lowers the validation error by more than {PAYS:.0%}" for name in won)
+    judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
+    remarks = tuple(f"{name} taken: it lowers the {judged} by more than {PAYS:.0%}" for name in won)
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
     if weights > outputs and taken.recipe.optimiser == "gauss-newton":
         remarks += (
@@ -146,33 +150,6 @@ def train_nnss(
         left = f", without {', '.join(unfinished)}" if unfinished else ""
         remarks += (f"stopped by the budget of {recipe.budget:g} s{left}",)
     return taken.training(remarks, errors if len(errors) > 1 else {})
-
-
-def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
-    """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
-
-    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, a
-    deep cold model where there are more weights than measured outputs.
-
-    Args:
-        data: physical units.
-        order: number of states n.
-        recipe: with something left open.
-        first: records of the first stage.
-    """
-    open_ones = recipe.alternatives(min(map(len, first)))
-    weights = recipe.simplest().architecture(order, data.input_count, data.output_count).weights
-    speaks: dict[str, Callable[[], bool]] = {
-        "feedthrough": lambda: feedthrough_p_value(data.train) <= LEVEL,
-        "integrator": lambda: (
-            recipe.simplest().integrates
-            and order > data.output_count
-            and longest_time_constant(data.train) >= max(map(len, data.train))
-        ),
-        "scheduling": lambda: True,
-        "initial": lambda: weights > sum(record.y.size for record in data.train),
-    }
-    return tuple(name for name in open_ones if speaks[name]())
 
 
 def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]]:
@@ -192,16 +169,6 @@ def stages(train: tuple[Record, ...], recipe: Recipe) -> list[tuple[Record, ...]
             found.append(beginnings(train, length, SHORTEST))
             length *= 4
     return [*found, train]
-
-
-def pays(error: float, rival: float) -> bool:
-    """Whether a more complex candidate is taken: its validation error is lower than its rival's by more than `PAYS`.
-
-    Args:
-        error: inf for one that diverged.
-        rival: of the simpler candidate.
-    """
-    return error < (1 - PAYS) * rival
 
 
 def _after(before: int, on_epoch: EpochCallback | None) -> EpochCallback | None:

@@ -18,6 +18,7 @@ OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
 STARTS = ("auto", "random", "linear", "feedback")
 CHOICES = ("auto", "yes", "no")
+JUDGES = ("validation", "blocks")
 LONGEST = 60  # samples of a window of the cold alternative
 
 
@@ -78,6 +79,8 @@ class Recipe:
     """Seconds after which no further candidate and no further epoch begins; 0 for no bound. Results then depend on the
     machine."""
 
+    judge: str = "validation"
+    """What candidates are compared on: validation, or blocks of training and validation, each held out once."""
     threads: int = 1
     """Threads of a Gauss–Newton fit, 1 or 2: the second finds the next stretch's derivatives while the first sums up.
     The numbers are the same."""
@@ -91,6 +94,8 @@ class Recipe:
             raise unknown("unit of patience", self.patience_unit, PATIENCE_UNITS)
         if self.initial not in STARTS:
             raise unknown("start", self.initial, STARTS)
+        if self.judge not in JUDGES:
+            raise unknown("judge", self.judge, JUDGES)
         for name in ("feedthrough", "integrator"):
             if getattr(self, name) not in CHOICES:
                 raise unknown(name, getattr(self, name), CHOICES)

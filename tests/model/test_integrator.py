@@ -15,9 +15,10 @@ from nnss_cli.methods import METHODS, load_model
 from nnss_cli.model.architecture import STABILITIES, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import fast as fast_module
+from nnss_cli.training.candidates import worth_trying
 from nnss_cli.training.engine import ReferenceEngine
 from nnss_cli.training.fast import FastEngine, Weights
-from nnss_cli.training.fit import train_nnss, worth_trying
+from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 RECIPE = Recipe(

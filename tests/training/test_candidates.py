@@ -11,9 +11,11 @@ from nnss_cli.datasets.record import Dataset, FittingData, Record, Scaling
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
+from nnss_cli.training import candidates as candidates_module
 from nnss_cli.training import fit as module
 from nnss_cli.training import recipe as recipe_module
-from nnss_cli.training.fit import pays, stages, train_nnss, worth_trying
+from nnss_cli.training.candidates import blocks, pays, pooled, worth_trying
+from nnss_cli.training.fit import stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 RECIPE = Recipe(
@@ -66,7 +68,7 @@ def test_a_system_without_one_keeps_the_papers_structure(small_data: Callable, m
     assert not auto.model.architecture.feedthrough
     assert auto.val_rmse == plain.val_rmse
     assert auto.candidates == plain.candidates == {}  # none was tried
-    monkeypatch.setattr(module, "feedthrough_p_value", lambda _: 0.0)
+    monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: 0.0)
     tried = train_nnss(data, 2, 0, RECIPE)
     assert not tried.model.architecture.feedthrough
     assert tried.val_rmse == plain.val_rmse  # to the last bit: the other candidate left no trace
@@ -243,12 +245,79 @@ def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch
         assert training.model.architecture.hidden == ((9,) * 4 if taken else (40,))
         assert training.candidates == {"as it is": 1.0, "cold start": cold}
         assert ("cold start taken: it lowers the validation error by more than 20%" in training.remarks) == taken
+        by_blocks = train_nnss(data, 2, 0, recipe.replace(judge="blocks"))
+        assert by_blocks.candidates == pytest.approx({"as it is": 1.0, "cold start": cold})
+        assert ("cold start taken: it lowers the error over 2 blocks by more than 20%" in by_blocks.remarks) == taken
+
+
+def test_blocks_hold_out_each_training_sample_once_and_mix_none_into_what_is_trained_on() -> None:
+    def record(first: int, K: int) -> Record:
+        return Record(np.arange(first, first + K), np.arange(first, first + K), 1.0)
+
+    train, val = (record(0, 70), record(1000, 30)), (record(5000, 24),)
+    found = blocks(train, val)
+    assert len(found) == 4
+    all_held = []
+    for trained, held in found:
+        own, others = (np.concatenate([r.y[:, 0] for r in records]) for records in (held, trained))
+        assert not np.intersect1d(own, others).size
+        assert np.array_equal(np.sort([*own, *others]), np.concatenate([r.y[:, 0] for r in (*train, *val)]))
+        assert all((np.diff(r.y[:, 0]) == 1).all() for r in (*trained, *held))  # no jump within an experiment
+        assert len(own) == 25
+        all_held.append(own)
+    assert np.array_equal(np.concatenate(all_held), np.concatenate([r.y[:, 0] for r in train]))
+    assert len(blocks(train, (record(5000, 40),))) == 2  # about as long as validation
+    assert len(blocks(train, (record(5000, 5),))) == 4  # five with validation itself, at most
+    assert blocks(train, (record(5000, 101),)) == []
+    # experiment of 3 is too short for 4 samples to begin with: it is held out by no one, and trained on by the others
+    short = blocks((record(0, 3), record(10, 3), record(20, 54)), (record(5000, 30),), init_window=4)
+    assert [[len(r) for r in held] for _, held in short] == [[24], [30]]
+    assert [[len(r) for r in trained] for trained, _ in short] == [[30, 30], [3, 3, 24, 30]]
+
+
+def test_the_error_over_blocks_is_that_of_all_held_out_samples() -> None:
+    random = np.random.default_rng(0)
+    parts = [random.standard_normal(K) for K in (3, 50, 7)]
+    errors = [float(np.sqrt(np.mean(part**2))) for part in parts]
+    assert pooled(errors, [3, 50, 7]) == pytest.approx(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    assert pooled([0.1], [7]) == 0.1
+    assert pooled([0.1, np.inf], [7, 1]) == np.inf
+
+
+def test_judged_by_blocks_validation_is_one_of_them(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The feedthrough does much better on a validation record of 40 samples alone, and worse on the rest."""
+    data = fitting(small_data(), with_feedthrough, K=160)
+    data = replace(data, val=(data.val[0][:40],))
+    recipe = RECIPE.replace(epochs=2)
+    outputs = sum(recipe.simplest().architecture(2, 1, 1).parameter_sizes)
+    seen: list[int] = []
+
+    def error(engine: object, records: tuple[Record, ...], *_: object) -> float:
+        """By whether u(k) has a say in y(k): the generator then has an output more."""
+        feedthrough = len(engine.weights()["generator.2.bias"]) > outputs  # type: ignore[attr-defined]
+        own = np.array_equal(records[0].y, data.normalised()[1][0].y)
+        seen.append(len(records[0]))
+        return (0.1 if own else 3.0) if feedthrough else 1.0
+
+    monkeypatch.setattr(module, "free_run_rmse", error)
+    alone = train_nnss(data, 2, 0, recipe)
+    assert set(seen) == {40}
+    assert len(seen) == 6  # two candidates, each a start and two epochs
+    assert alone.model.architecture.feedthrough
+    assert alone.candidates == {"as it is": 1.0, "feedthrough": 0.1}
+    training = train_nnss(data, 2, 0, recipe.replace(judge="blocks"))
+    assert len(seen) == 6 + 5 * 6 - 4  # where it is behind it is given up after an epoch
+    assert not training.model.architecture.feedthrough
+    assert training.candidates["as it is"] == pytest.approx(1.0)
+    assert training.candidates["feedthrough"] == pytest.approx(np.sqrt((0.1**2 + 4 * 9) / 5))
+    with pytest.raises(InputError, match="judge"):
+        recipe.replace(judge="test")
 
 
 def test_an_integrator_that_won_is_not_started_cold(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """Adam cannot train one in the compiled engine: what cannot be combined is not tried."""
     data = small_data(K=150).fitting
-    monkeypatch.setattr(module, "longest_time_constant", lambda _: np.inf)
+    monkeypatch.setattr(candidates_module, "longest_time_constant", lambda _: np.inf)
     recipe = RECIPE.replace(initial="auto", integrator="auto", feedthrough="no", epochs=2, hidden=(40,))
     assert worth_trying(data, 2, recipe, data.train) == ("integrator", "initial")
     errors = {True: 0.5, False: 1.0}

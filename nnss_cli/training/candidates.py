@@ -1,0 +1,111 @@
+"""Which candidates a recipe tries on a record, by which data they are judged, and what one must gain to be taken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
+from nnss_cli.datasets.record import FittingData, Record
+from nnss_cli.datasets.windows import SHORTEST
+from nnss_cli.training.recipe import Recipe
+
+LEVEL = 0.01
+"""Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
+PAYS = 0.2
+"""What a further candidate must take off the error, relative."""
+BLOCKS = 5
+"""Blocks of cross-validation, at most."""
+SIMPLEST = "as it is"
+ALTERNATIVES = {
+    "feedthrough": "feedthrough",
+    "integrator": "integrator",
+    "scheduling": "scheduling on u",
+    "initial": "cold start",
+}
+"""Field of a recipe that leaves something open → the name of what is tried then."""
+
+
+def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
+    """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
+
+    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, a
+    deep cold model where there are more weights than measured outputs.
+
+    Args:
+        data: physical units.
+        order: number of states n.
+        recipe: with something left open.
+        first: records of the first stage.
+    """
+    open_ones = recipe.alternatives(min(map(len, first)))
+    weights = recipe.simplest().architecture(order, data.input_count, data.output_count).weights
+    speaks: dict[str, Callable[[], bool]] = {
+        "feedthrough": lambda: feedthrough_p_value(data.train) <= LEVEL,
+        "integrator": lambda: (
+            recipe.simplest().integrates
+            and order > data.output_count
+            and longest_time_constant(data.train) >= max(map(len, data.train))
+        ),
+        "scheduling": lambda: True,
+        "initial": lambda: weights > sum(record.y.size for record in data.train),
+    }
+    return tuple(name for name in open_ones if speaks[name]())
+
+
+def blocks(
+    train: tuple[Record, ...], val: tuple[Record, ...], init_window: int = 1
+) -> list[tuple[tuple[Record, ...], tuple[Record, ...]]]:
+    """Other ways to part the same data: training records cut along time into blocks, each held out once.
+
+    A block has about as many samples as validation, or more, so that there are at most `BLOCKS` with validation
+    itself, which is trained on here. What lies before and after a block becomes an experiment each; pieces too short
+    to simulate are left out.
+
+    Args:
+        train: experiments.
+        val: validation experiments.
+        init_window: first samples of a held-out experiment that tell x(0).
+
+    Returns:
+        Training and held-out experiments of each block; none where training is shorter than validation.
+    """
+    total, validation = (sum(map(len, records)) for records in (train, val))
+    count = min(BLOCKS - 1, total // validation)
+    shortest = max(SHORTEST, init_window + 1)  # of what is held out
+    found = []
+    for begin, end in pairwise(total * i // max(count, 1) for i in range(count + 1)):
+        kept: list[Record] = []
+        held: list[Record] = []
+        at = 0
+        for record in train:
+            K = len(record)
+            a, b = (min(max(bound - at, 0), K) for bound in (begin, end))
+            held += _piece(record, a, b, shortest)
+            kept += _piece(record, 0, a, SHORTEST) + _piece(record, b, K, SHORTEST)
+            at += K
+        if held:
+            found.append(((*kept, *val), tuple(held)))
+    return found
+
+
+def _piece(record: Record, begin: int, end: int, shortest: int) -> list[Record]:
+    """These samples of it, or nothing where they are too few."""
+    return [record[begin:end]] if end - begin >= shortest else []
+
+
+def pooled(errors: Sequence[float], lengths: Sequence[int]) -> float:
+    """RMSE over several records from that of each and its length [samples]; inf where one diverged."""
+    total = sum(lengths)
+    return math.hypot(*(error * math.sqrt(length / total) for error, length in zip(errors, lengths, strict=True)))
+
+
+def pays(error: float, rival: float) -> bool:
+    """Whether a more complex candidate is taken: its error is lower than its rival's by more than `PAYS`.
+
+    Args:
+        error: inf for one that diverged.
+        rival: of the simpler candidate.
+    """
+    return error < (1 - PAYS) * rival
