@@ -56,6 +56,15 @@ class _Point:
             parts.append(part + taken.reshape(part.shape) if len(taken) else part)
         return _Point(*parts)
 
+    def directions(self, Q: FloatArray) -> list[FloatArray]:
+        """The columns of Q (parameters, P') as changes of A, B, C, G and D, each (P', rows, columns)."""
+        parts, start = [], 0
+        for part in (self.A, self.B, self.C, self.G, self.D):
+            taken = Q[start : start + part.size]
+            start += part.size
+            parts.append(taken.T.reshape(-1, *part.shape) if len(taken) else np.zeros((Q.shape[1], *part.shape)))
+        return parts
+
     def basis_directions(self, feedthrough: bool) -> FloatArray:
         """Columns: how the parameters move when the state's basis does (n² of them)."""
         n = len(self.A)
@@ -125,55 +134,35 @@ class _Problem:
         weight = np.eye(len(point.C)) if W is None else W
 
         def rows() -> Iterator[FloatArray]:
-            for J, residual in self._sensitivities(point):
-                projected = np.tensordot(J, Q, axes=(0, 0))  # (k, m, P')
-                block = np.concatenate([projected, residual[:, :, None]], axis=2)
-                yield np.einsum("ab,kbp->kap", weight, block).reshape(-1, block.shape[2])
+            for J, residual in self._sensitivities(point, Q):
+                block = np.concatenate([J, residual[None]])  # (P' + 1, k, m)
+                yield np.einsum("ab,pkb->kap", weight, block).reshape(-1, len(block))
             yield np.concatenate([self._extra_jacobian(point) @ Q, -self._extra(point)[:, None]], axis=1)
 
         return triangularise(rows())
 
-    def _sensitivities(self, point: _Point) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """∂ŷ/∂θ (P, k, m) and y − ŷ (k, m), block by block.
+    def _sensitivities(self, point: _Point, Q: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Derivatives of ŷ along the columns of Q (P', k, m), and y − ŷ (k, m), block by block.
 
-        Each parameter drives the same recursion: ∂x(k+1) = A ∂x(k) + ∂A x(k) + ∂B u(k), so all of
-        them are propagated side by side.
+        Along a direction (dA, dB, dC, dG, dD)
+
+            dx(k+1) = A dx(k) + dA x(k) + dB u(k),   dŷ(k) = C dx(k) + dC x(k) + dD u(k)
+
+        so all of them are propagated side by side.
         """
-        n, m = point.G.shape
-        r = point.B.shape[1]
-        driven = n * (n + r)
+        d_A, d_B, d_C, d_G, d_D = point.directions(Q)
+        driven = np.concatenate([d_A, d_B], axis=2).transpose(0, 2, 1)  # (P', n + r, n)
+        seen = np.concatenate([d_C, d_D], axis=2).transpose(0, 2, 1)  # (P', n + r, m)
         for record in self.records:
-            v = record.y[0] - point.D @ record.u[0]
-            x = point.G @ v
-            # initial sensitivities: none for A and B; ∂x0/∂G_ij = e_i v_j; ∂x0/∂D_ij = −G e_i u0_j
-            dx = [np.zeros((driven, n)), np.einsum("ij,b->ibj", np.eye(n), v).reshape(n * m, n)]
-            if self.feedthrough:
-                dx.append(-np.einsum("ji,b->ibj", point.G, record.u[0]).reshape(m * r, n))
-            state = np.concatenate(dx)
+            u0 = record.u[0]
+            v = record.y[0] - point.D @ u0
+            x, state = point.G @ v, d_G @ v - d_D @ u0 @ point.G.T
             for start in range(0, len(record), BLOCK):
                 u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
-                k = len(y)
                 path = propagate(point.A, u @ point.B.T, x)
-                signals = np.concatenate([path[:-1], u], axis=1).T  # (n + r, k)
-                w = np.zeros((len(state), k, n))
-                for i in range(n):
-                    w[i * (n + r) : (i + 1) * (n + r), :, i] = signals
-                moving = propagate(point.A, w, state)
-                outputs = moving[:, :-1] @ point.C.T
-                ab = outputs[:driven].reshape(n, n + r, k, m)
-                d_C = np.zeros((m, n, k, m))
-                for i in range(m):
-                    d_C[i, :, :, i] = path[:-1].T
-                parts = [
-                    ab[:, :n].reshape(n * n, k, m), ab[:, n:].reshape(n * r, k, m), d_C.reshape(m * n, k, m),
-                    outputs[driven : driven + n * m],
-                ]  # fmt: skip
-                if self.feedthrough:
-                    d_D = outputs[driven + n * m :].reshape(m, r, k, m).copy()
-                    for i in range(m):
-                        d_D[i, :, :, i] += u.T
-                    parts.append(d_D.reshape(m * r, k, m))
-                yield np.concatenate(parts), y - path[:-1] @ point.C.T - u @ point.D.T
+                signals = np.concatenate([path[:-1], u], axis=1)  # (k, n + r)
+                moving = propagate(point.A, signals @ driven, state)
+                yield moving[:, :-1] @ point.C.T + signals @ seen, y - path[:-1] @ point.C.T - u @ point.D.T
                 x, state = path[-1], moving[:, -1]
 
 

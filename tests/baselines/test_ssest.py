@@ -35,10 +35,14 @@ def test_sensitivities_against_finite_differences(
     random = np.random.default_rng(0)
     point = module._Point(plant.A, plant.B, plant.C, random.standard_normal((n, m)), random.standard_normal((m, r)))
     problem = module._Problem(records, "trace", feedthrough, 0.3)
-    J = np.concatenate([J for J, _ in problem._sensitivities(point)], axis=1)
-    e = np.concatenate([e for _, e in problem._sensitivities(point)])
-    np.testing.assert_allclose(e, problem.residuals(point), atol=1e-12)
     theta = point.vector(feedthrough)
+    each = np.eye(len(theta))
+    J = np.concatenate([J for J, _ in problem._sensitivities(point, each)], axis=1)
+    e = np.concatenate([e for _, e in problem._sensitivities(point, each)])
+    np.testing.assert_allclose(e, problem.residuals(point), atol=1e-12)
+    Q = random.standard_normal((len(theta), 4))
+    along = np.concatenate([J for J, _ in problem._sensitivities(point, Q)], axis=1)
+    np.testing.assert_allclose(along, np.tensordot(Q.T, J, axes=1), atol=1e-10 * np.abs(along).max())
     for i in range(len(theta)):
         step = np.zeros(len(theta))
         step[i] = 1e-6
@@ -53,8 +57,9 @@ def test_basis_directions_do_not_change_the_outputs(system: Callable) -> None:
     records = records_of(plant, 1, 0.1)
     point = module._Point(plant.A, plant.B, plant.C, np.linalg.pinv(plant.C), plant.D)
     problem = module._Problem(records, "trace", False, 1.0)
-    J = np.concatenate([J for J, _ in problem._sensitivities(point)], axis=1)
-    along = np.tensordot(point.basis_directions(False).T, J, axes=1)
+    basis = point.basis_directions(False)
+    J = np.concatenate([J for J, _ in problem._sensitivities(point, np.eye(len(basis)))], axis=1)
+    along = np.concatenate([J for J, _ in problem._sensitivities(point, basis)], axis=1)
     assert np.abs(along).max() < 1e-9 * np.abs(J).max()
 
 
