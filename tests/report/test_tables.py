@@ -205,7 +205,7 @@ def test_a_study_compares_medians_and_counts_what_runs_away() -> None:
     ]
     assert tables.study_rows([plain], intervals=True)[0]["train"] == "3 (1–∞)"
     assert tables.study_rows([other], intervals=True)[1]["train"] == "0.5"
-    stressed = [replace(plain, unbounded=(RUNS[0].spec,)), other]
+    stressed = [replace(plain, unbounded=(RUNS[0],)), other]
     assert [row["unbounded under stress"] for row in tables.study_rows(stressed)][:2] == ["1 of 2", "0 of 0"]
 
 
@@ -273,8 +273,8 @@ def test_what_is_kept_is_listed_by_method_and_order() -> None:
     ]  # fmt: skip
     told = {row[""]: row["found"] for row in run_rows(entry(replace(RUNS[0], provenance={"numpy": "2"}, notes=("n",))))}
     assert told == {
-        "status": "ok", "fit [s]": "1.5", "epochs": "7", "data": "0", "method's version": "1", "numpy": "2", "notes": "n",
-        "folder": "runs/x",
+        "status": "ok", "fit [s]": "1.5", "epochs": "7", "data": "0", "method's version": "1", "numpy": "2",
+        "notes": "n", "folder": "runs/x",
     }  # fmt: skip
     assert run_rows(entry(None, fault="no run.json")) == [
         {"": "status", "found": "damaged"},
