@@ -352,7 +352,9 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=200, help="mutants, a quarter from each folder; 0 for none")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--mutant", nargs="*", default=[], help="judge these again, by the names in survivors.diff")
-    parser.add_argument("--only", nargs="*", default=[], help="draw from these files alone, --sample from each")
+    parser.add_argument(
+        "--only", nargs="*", default=[], help="draw from these files or groups alone, --sample from each"
+    )
     options = parser.parse_args()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -365,7 +367,12 @@ def main() -> None:
         groups = {"named on the command line": [found_again(name) for name in options.mutant]}
     elif options.only:
         seed = options.seed
-        groups = {file: drawn_from([file], options.sample, f"{seed} {file}") for file in options.only}
+        groups = {
+            name: sampled(name, options.sample, seed)
+            if name in FOLDERS
+            else drawn_from([name], options.sample, f"{seed} {name}")
+            for name in options.only
+        }
     else:
         groups = {"the review's": named_mutants()}
         for position, folder in enumerate(FOLDERS):
