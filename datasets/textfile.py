@@ -85,13 +85,19 @@ def shown_path(path: object) -> str:
     return text if len(text) <= 80 else f"'…{text[-76:]}"
 
 
-def header(row: Sequence[object], source: str, number: int) -> tuple[str, ...] | None:
+def header(row: Sequence[object], source: str, number: int, decimal: str = ".") -> tuple[str, ...] | None:
     """The names in the first row of a table; None if it holds samples. A nameless column is named by its number.
+
+    Args:
+        row: its cells.
+        source: the file, for messages.
+        number: of the row.
+        decimal: mark of the decimals, as in `cell`.
 
     Raises:
         InputError: names and numbers are mixed, or two columns have one name.
     """
-    cells = [cell(value) if isinstance(value, str) else value for value in row]
+    cells = [cell(value, decimal) if isinstance(value, str) else value for value in row]
     words = [value for value in cells if isinstance(value, str) and not _DATE.fullmatch(value)]
     if not words:
         return None
@@ -212,7 +218,8 @@ def _layout(path: Path) -> Layout:
     delimiter = max(marks, key=lambda mark: sum(_count(line, mark) > 1 for line in lines), default=";")
     rows = _rows(path, delimiter)
     number, first = next(rows)
-    names = header(first, source, number)
+    commas = delimiter in "\t;" and any(_COMMA_NUMBER.fullmatch(value.strip()) for value in first)
+    names = header(first, source, number, "," if commas else ".")
     skipped = number if names is not None else number - 1
     if names is not None:
         number, first = next(rows, (0, []))

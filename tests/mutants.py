@@ -1,6 +1,7 @@
 """Mutation testing on a sample: how many small faults in the code the tests notice.
 
     python tests/mutants.py --sample 200 --seed 0
+    python tests/mutants.py --only nnss_cli/report/figures.py --sample 40 --seed 1
 
 First the mutants of mutants.toml, which a review made by hand; then a seeded sample of those that Cosmic Ray's
 operators make, as many from each folder. A mutant is killed when a test fails, or when the tests take longer than
@@ -33,6 +34,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from mutants_looks import Place, places_of_looks, sets_looks
 from mutants_pytest import Judging, Tracing, run_tests
 from real_files import folder_of_files
 
@@ -43,7 +45,7 @@ KEPT = ROOT / ".mutants"  # what ran where, and the survivors
 FOLDERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "datasets": ("datasets", ("tests/datasets", "tests/experiment/test_runs.py")),
     "experiment": ("nnss_cli/experiment", ("tests/experiment", "tests/report")),
-    "report": ("nnss_cli/report", ("tests/report",)),
+    "report": ("nnss_cli/report", ("tests/report", "tests/validation", "tests/experiment/test_inspection.py")),
     "training/fit.py": ("nnss_cli/training/fit.py", ("tests/training",)),
 }
 STRUCTURE = "tests/test_structure.py::test_dataclasses_are_frozen"  # judges every folder
@@ -69,6 +71,8 @@ class Mutant:
     """Files and folders whose tests judge it, or the one test that must."""
     named: bool = False
     """Whether it is of mutants.toml: judged by the test named there."""
+    looks: bool = False
+    """Whether it changes a figure's looks alone, by the rule of mutants_looks.py."""
 
     def diff(self) -> list[str]:
         """The change as a unified diff without context."""
@@ -128,7 +132,7 @@ def named_mutants() -> list[Mutant]:
     return found
 
 
-def places(file: str) -> dict[tuple[tuple[int, int], tuple[int, int]], list[tuple[str, int]]]:
+def places(file: str) -> dict[Place, list[tuple[str, int]]]:
     """Start and end of everything in a file that an operator changes → each operator and its count of occurrences."""
     from cosmic_ray.ast import ast_nodes, get_ast_from_path
     from cosmic_ray.plugins import get_operator, operator_names
@@ -145,7 +149,7 @@ def places(file: str) -> dict[tuple[tuple[int, int], tuple[int, int]], list[tupl
     return found
 
 
-def mutant_of(file: str, operator: str, occurrence: int, line: int) -> Mutant | None:
+def mutant_of(file: str, operator: str, occurrence: int, place: Place) -> Mutant | None:
     """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated."""
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
@@ -161,7 +165,9 @@ def mutant_of(file: str, operator: str, occurrence: int, line: int) -> Mutant | 
     except SyntaxError:
         return None
     folder = next(name for name, (path, _) in FOLDERS.items() if file.startswith(path))
-    return Mutant(f"{file}:{operator.rpartition('/')[2]}:{occurrence}", file, text, line, FOLDERS[folder][1])
+    name = f"{file}:{operator.rpartition('/')[2]}:{occurrence}"
+    looks = sets_looks(place, places_of_looks(source))
+    return Mutant(name, file, text, place[0][0], FOLDERS[folder][1], looks=looks)
 
 
 def _program(text: str) -> str:
@@ -177,21 +183,22 @@ def _program(text: str) -> str:
 
 
 def sampled(folder: str, count: int, seed: int) -> list[Mutant]:
-    """A draw of places without replacement, and at each one of its mutants: the many of `+` count no more than one."""
+    """A draw of a folder's places, and at each one of its mutants: the many of `+` count no more than one."""
     path = ROOT / FOLDERS[folder][0]
     files = [path] if path.is_file() else sorted(path.glob("*.py"))
-    at = [
-        (str(file.relative_to(ROOT)), place, choices)
-        for file in files
-        for place, choices in sorted(places(str(file.relative_to(ROOT))).items())
-    ]
-    random = Random(f"{seed} {folder}")
+    return drawn_from([str(file.relative_to(ROOT)) for file in files], count, f"{seed} {folder}")
+
+
+def drawn_from(files: Sequence[str], count: int, seed: str) -> list[Mutant]:
+    """A draw of places of these files without replacement, and at each one of its mutants."""
+    at = [(file, place, choices) for file in files for place, choices in sorted(places(file).items())]
+    random = Random(seed)
     random.shuffle(at)
     drawn: list[Mutant] = []
-    for file, ((line, _), _), choices in at:
+    for file, place, choices in at:
         if len(drawn) == count:
             break
-        mutant = mutant_of(file, *random.choice(choices), line)
+        mutant = mutant_of(file, *random.choice(choices), place)
         if mutant:
             drawn.append(mutant)
     return drawn
@@ -208,24 +215,24 @@ def found_again(name: str) -> Mutant:
         return by_name[name]
     file, _, rest = name.partition(":")
     word, _, number = rest.partition(":")
-    for ((line, _), _), choices in places(file).items() if (ROOT / file).is_file() else ():
+    for place, choices in places(file).items() if (ROOT / file).is_file() else ():
         for operator, occurrence in choices:
             if (operator.rpartition("/")[2], str(occurrence)) == (word, number):
-                mutant = mutant_of(file, operator, occurrence, line)
+                mutant = mutant_of(file, operator, occurrence, place)
                 if mutant:
                     return mutant
     raise SystemExit(f"no mutant is named '{name}'")
 
 
-def mapped(root: Path) -> Map:
-    """What the tests run; files of tests that have not changed since the last time, nor the code, are not run again.
+def mapped(root: Path, mutants: Sequence[Mutant]) -> Map:
+    """What the tests that judge these mutants run; files of tests are not run again unless they or the code changed.
 
     Raises:
         SystemExit: a test fails where nothing is mutated.
     """
     common = [*(ROOT / "nnss_cli").rglob("*.py"), *(f for name in INSIDE for f in (ROOT / name).rglob("*.py"))]
     common += (ROOT / "tests").rglob("conftest.py")
-    folders = sorted({test for _, tests in FOLDERS.values() for test in tests})
+    folders = sorted({test for mutant in mutants if not mutant.named for test in mutant.tests})
     files = sorted(
         {f for name in folders for f in ([ROOT / name] if name.endswith(".py") else (ROOT / name).glob("test_*.py"))}
     )
@@ -325,6 +332,15 @@ def share(killed: int, count: int) -> str:
     return f"{killed}/{count} killed, {killed / count:.1%} (95 % interval {interval.low:.1%} to {interval.high:.1%})"
 
 
+def tell(group: str, verdicts: Sequence[Verdict]) -> None:
+    """The share of a group, and that of its mutants that change more than a figure's looks."""
+    rest = [v for v in verdicts if not v.mutant.looks]
+    print(f"{group}: {share(sum(bool(v.killer) for v in verdicts), len(verdicts))}")
+    if rest and len(rest) < len(verdicts):
+        apart = len(verdicts) - len(rest)
+        print(f"{group}, {apart} of looks apart: {share(sum(bool(v.killer) for v in rest), len(rest))}")
+
+
 def load_libraries() -> None:
     """What the package loads, once for all mutants; not the package itself."""
     import typer  # noqa: F401
@@ -336,6 +352,9 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=200, help="mutants, a quarter from each folder; 0 for none")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--mutant", nargs="*", default=[], help="judge these again, by the names in survivors.diff")
+    parser.add_argument(
+        "--only", nargs="*", default=[], help="draw from these files or groups alone, --sample from each"
+    )
     options = parser.parse_args()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -346,6 +365,14 @@ def main() -> None:
     load_libraries()
     if options.mutant:
         groups = {"named on the command line": [found_again(name) for name in options.mutant]}
+    elif options.only:
+        seed = options.seed
+        groups = {
+            name: sampled(name, options.sample, seed)
+            if name in FOLDERS
+            else drawn_from([name], options.sample, f"{seed} {name}")
+            for name in options.only
+        }
     else:
         groups = {"the review's": named_mutants()}
         for position, folder in enumerate(FOLDERS):
@@ -356,12 +383,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="nnss-mutants-") as temporary:
         root = Path(temporary).resolve()
         copy_of_package(root)
-        ran = mapped(root) if any(not mutant.named for mutants in groups.values() for mutant in mutants) else Map()
+        drawn_mutants = [mutant for mutants in groups.values() for mutant in mutants if not mutant.named]
+        ran = mapped(root, drawn_mutants) if drawn_mutants else Map()
         for group, mutants in groups.items():
             for mutant in mutants:
                 verdict = judge(root, mutant, ran)
                 verdicts.setdefault(group, []).append(verdict)
                 word = f"killed by {verdict.killer}" if verdict.killer else "SURVIVED"
+                word += " (looks)" * mutant.looks
                 print(f"{verdict.seconds:6.1f} s  {mutant.name}: {word}", flush=True)
     survivors = [v.mutant for those in verdicts.values() for v in those if not v.killer]
     KEPT.mkdir(parents=True, exist_ok=True)
@@ -369,11 +398,11 @@ def main() -> None:
     (KEPT / "survivors.diff").write_text("\n".join(lines), encoding="utf-8")
     print(f"\n{(time.monotonic() - began) / 60:.0f} min, seed {options.seed}")
     for group, those in verdicts.items():
-        print(f"{group}: {share(sum(bool(v.killer) for v in those), len(those))}")
-    drawn = [v for group, those in verdicts.items() if group in FOLDERS for v in those]
+        tell(group, those)
+    drawn = [v for group, those in verdicts.items() if not options.mutant for v in those if not v.mutant.named]
     if drawn:
-        late = sum(v.killer.startswith("timeout") for v in drawn)
-        print(f"in all: {share(sum(bool(v.killer) for v in drawn), len(drawn))}, {late} of them by a timeout")
+        tell("in all", drawn)
+        print(f"by a timeout: {sum(v.killer.startswith('timeout') for v in drawn)}")
     print(f"survivors: {KEPT / 'survivors.diff'}")
     if any(mutant.named for mutant in survivors):
         raise SystemExit("a mutant of the review survived")

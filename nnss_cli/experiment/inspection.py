@@ -88,13 +88,13 @@ def examine(
     q = len(live_inputs)
     parts = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra, coherence and delays", used)
     parts = _standardised(parts)
-    spectra = welch(parts, q)
+    spectra, power = welch(parts, q), welch(parts, q, flatten=False)
     # the scaled columns are centred; persistency counts a constant, so it takes the raw ones
     raw = [_stretches([data[:, [i]] for data in experiments]) for i in range(r)]
     excitation = []
     for i in range(r):
-        found = None if spectra is None or i not in live_inputs else live_inputs.index(i)
-        excitation.append(_excitation(names[i], persistency(raw[i]), spectra, found, clock.Ts))
+        found = None if power is None or i not in live_inputs else live_inputs.index(i)
+        excitation.append(_excitation(names[i], persistency(raw[i]), power, found, clock.Ts))
     joint = persistency([part[:, :q] for part in complete]) if q > 1 and complete else None
     delays, linearity = [], []
     for output, i in enumerate(live_outputs):
@@ -119,7 +119,7 @@ def examine(
     n = order.suggested
     known = Inspection(
         tuple(len(data) for data in experiments), clock, channels, copies, tuple(excitation), joint,
-        _spectrum(spectra, [names[i] for i in alive], clock.Ts), tuple(delays), tuple(linearity), order, split,
+        _spectrum(power, [names[i] for i in alive], clock.Ts), tuple(delays), tuple(linearity), order, split,
         () if n is None else tuple(range(max(1, n - 1), n + 2)),
         max(1, min(WINDOW, 4 * (n or 1) + longest_delay, shortest // 10)), tuple(used), (),
         tuple(_envelope(name, [data[:, i] for data in experiments], clock.Ts) for i, name in enumerate(names)),

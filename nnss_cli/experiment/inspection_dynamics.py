@@ -38,7 +38,7 @@ class Spectra:
     """Independent averages: half-overlapping Hann segments count 0.947 each."""
 
 
-def welch(parts: Sequence[FloatArray], inputs: int) -> Spectra | None:
+def welch(parts: Sequence[FloatArray], inputs: int, flatten: bool = True) -> Spectra | None:
     """Cross spectra by averaged Hann segments, half overlapping; None where there are not two segments of 8 samples.
 
     Each channel first passes its own AR filter A_i(q), which flattens its spectrum and shortens the memory between
@@ -49,11 +49,15 @@ def welch(parts: Sequence[FloatArray], inputs: int) -> Spectra | None:
     Args:
         parts: stretches without gaps (K, c), inputs first, zero mean and unit variance overall.
         inputs: number of inputs r; more of them need more segments.
+        flatten: whether the channels pass those filters first. For shares of the power they must not: a filter's
+            notch at a sine is far narrower than a segment's lines, so the sine's power would be lost in the division.
     """
     longest = max((len(part) for part in parts), default=0)
     if longest < 16:
         return None
     filters = _whiteners(parts, min(WHITENER, longest // 20))
+    if not flatten:
+        filters[:, 1:] = 0  # of the same length, so that the lines are the same
     order = filters.shape[1] - 1
     flat = [scipy.signal.lfilter(A, 1.0, part[:, i])[order:] for part in parts for i, A in enumerate(filters)]
     c = len(filters)

@@ -80,7 +80,11 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 words = st.text(st.characters(categories=["L", "N", "P", "S"]), min_size=1, max_size=8)
 """Names of a text file: what reads as a number, a date, a missing cell or a comment is none."""
 names_of_text = words.filter(
-    lambda name: isinstance(textfile.cell(name), str) and not textfile._DATE.fullmatch(name) and name[0] not in "#\"'"
+    lambda name: (
+        all(isinstance(textfile.cell(name, mark), str) for mark in ".,")
+        and not textfile._DATE.fullmatch(name)
+        and name[0] not in "#\"'"
+    )
 )
 names_of_arrays = st.from_regex(r"[A-Za-z][A-Za-z0-9]{0,8}_", fullmatch=True)
 

@@ -1,6 +1,7 @@
 """Scores, the store, and sweeps that resume and do not depend on the number of processes."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,9 @@ from nnss_cli.methods import METHODS, Fit, Method, select
 from nnss_cli.report.tables import rmse_markdown, study_rows
 from nnss_cli.version import __version__
 
-QUICK = {"hidden": (6,), "encoder": (3,), "window": 40, "stride": 60, "batch": 8, "epochs": 2}
+QUICK = {
+    "hidden": (6,), "encoder": (3,), "window": 40, "stride": 60, "batch": 8, "epochs": 2, "initial": "random",
+}  # fmt: skip
 NOTHING = lambda *_: None  # noqa: E731
 
 
@@ -39,6 +42,21 @@ def run_all(store: Store, seeds: int = 2, jobs: int = 1, overrides: dict | None 
     return len(todo.todo)
 
 
+@pytest.fixture(scope="module")
+def two_seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder of every method and two seeds, to be copied."""
+    folder = tmp_path_factory.mktemp("two-seeds")
+    run_all(store_for(folder), seeds=2)
+    return folder
+
+
+@pytest.fixture
+def finished(two_seeds: Path, tmp_path: Path) -> Store:
+    """A copy of it."""
+    shutil.copytree(two_seeds, tmp_path / "finished")
+    return store_for(tmp_path / "finished")
+
+
 def test_scores_by_hand() -> None:
     y, simulated = np.array([[0.0], [2.0]]), np.array([[1.0], [2.0]])
     scaling = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.array([2.0]))
@@ -48,9 +66,9 @@ def test_scores_by_hand() -> None:
     assert score.fit_percent == pytest.approx(100 * (1 - 1 / np.sqrt(2)))
 
 
-def test_a_result_survives_the_disk(tmp_path: Path) -> None:
-    store = store_for(tmp_path)
-    run_all(store, seeds=1)
+def test_a_result_survives_the_disk(finished: Store) -> None:
+    store = finished
+    assert len(store.results()) == 8
     for result in store.results():
         assert parse_result(json.dumps(result.to_json()).encode()) == result
         assert {s.split for s in result.scores} == {"train", "val", "test"}
@@ -64,9 +82,9 @@ def scores_of(store: Store) -> dict:
     return {result.spec.label: (result.scores, result.history) for result in store.results()}
 
 
-def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(tmp_path: Path) -> None:
-    one, two = store_for(tmp_path / "one"), store_for(tmp_path / "two")
-    assert run_all(one, seeds=2) == 8  # two seeds of nnss and simba, the others once
+def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(finished: Store, tmp_path: Path) -> None:
+    one, two = finished, store_for(tmp_path / "two")
+    assert len(one.results()) == 8  # two seeds of nnss and simba, the others once
     assert run_all(one, seeds=2) == 0
     assert run_all(one, seeds=3) == 3  # and the ensemble again
     assert run_all(two, seeds=3, jobs=2) == 10
@@ -74,18 +92,16 @@ def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(tmp_path: Pa
     assert scores_of(one) == scores_of(two)
 
 
-def test_an_unfinished_run_counts_as_missing(tmp_path: Path) -> None:
-    store = store_for(tmp_path)
-    run_all(store, seeds=1)
+def test_an_unfinished_run_counts_as_missing(finished: Store) -> None:
+    store = finished
     before = scores_of(store)
     (store.folder / "runs" / "nnss-n2-s0" / "run.json").unlink()
-    assert run_all(store, seeds=1) == 2  # it and the ensemble of which it is a member
+    assert run_all(store, seeds=2) == 2  # it and the ensemble of which it is a member
     assert scores_of(store) == before
 
 
-def test_other_options_are_not_mixed_unless_forced(tmp_path: Path) -> None:
-    store = store_for(tmp_path)
-    run_all(store, seeds=2)
+def test_other_options_are_not_mixed_unless_forced(finished: Store) -> None:
+    store = finished
     with pytest.raises(InputError, match=r"epochs 2 instead of 3.*--out.*--force"):
         run_all(store, seeds=1, overrides={"epochs": 3})
     run_all(store, seeds=1, overrides={"epochs": 3}, force=True)
