@@ -8,13 +8,12 @@ from __future__ import annotations
 import ast
 import inspect
 import json
-import math
 import re
+import sys
 import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from typing import Any
 from nnss_cli.datasets.preparation import TREND_KINDS, parse_split
 from nnss_cli.datasets.textfile import printable, shown
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, nearest
 
 Column = str | int
 
@@ -57,7 +56,7 @@ def _whole(value: object) -> int:
 
 
 def _seconds(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= sys.float_info.max:
         raise TypeError("a positive number of seconds")
     return float(value)
 
@@ -156,9 +155,9 @@ class Description:
     outputs: tuple[Column, ...] = _option(_different(_all(_column, 1)))
     """Columns of the outputs, by name or by number from 1."""
     input_units: tuple[str, ...] = _option(_all(_line), ())
-    """Unit of each input."""
+    """Unit of each input. Default: what its column's name ends in, as "u [V]" or "level (cm)"."""
     output_units: tuple[str, ...] = _option(_all(_line), ())
-    """Unit of each output, in which errors are reported."""
+    """Unit of each output, in which errors are reported. Default: likewise."""
     time: str | int | None = _option(_column, None, optional=True)
     """Column of the time: seconds, or dates as 2024-01-31T12:00:00.5. Checked to be uniform unless resample is
     given."""
@@ -289,8 +288,8 @@ def read_description(path: Path) -> Description:
     valid = _keys()
     for key in table:
         if key not in valid:
-            near = get_close_matches(key, valid, 1)
-            hint = f"did you mean '{near[0]}'? " if near else ""
+            near = nearest(key, valid)
+            hint = f"did you mean '{near}'? " if near else ""
             raise InputError(f"'{path.name}': unknown key {shown(key)}: {hint}valid keys are {', '.join(valid)}")
     table.setdefault("name", path.stem)
     for key in ("files", "inputs", "outputs"):

@@ -24,12 +24,12 @@ from nnss_cli.datasets.preparation import (
     uniform_Ts,
 )
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Record, Scaling
+from nnss_cli.datasets.units import unit_in
 
 from nnss_cli.errors import InputError
 
 OWN = "own"
 """The protocol of a described record."""
-NO_UNIT = "–"
 LARGEST_VALUE = 1e100
 """A larger sample is no measurement, and its square would overflow."""
 
@@ -132,8 +132,8 @@ def load_experiments(description: Description) -> Experiments:
     channels = Channels(
         first.names[:r],
         first.names[r:],
-        description.input_units or (NO_UNIT,) * r,
-        description.output_units or (NO_UNIT,) * len(description.outputs),
+        description.input_units or tuple(map(unit_in, first.names[:r])),
+        description.output_units or tuple(map(unit_in, first.names[r:])),
     )
     return Experiments(
         name=description.name,

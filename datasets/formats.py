@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import zipfile
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from nnss_cli.datasets.arrayfile import as_table, hdf5_variables, is_hdf5, mat_v
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown, shown_path
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, nearest
 
 Columns = Sequence[str | int]
 
@@ -44,8 +43,8 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     name = path.name.lower().removesuffix(".gz")
     suffix = Path(name).suffix
     if not path.exists():
-        near = get_close_matches(path.name, _neighbours(path), 1)
-        raise InputError(f"no such file: {shown_path(path)}" + (f"; did you mean '{near[0]}'?" if near else ""))
+        near = nearest(path.name, _neighbours(path))
+        raise InputError(f"no such file: {shown_path(path)}" + (f"; did you mean '{near}'?" if near else ""))
     if not path.is_file():
         raise InputError(
             f"'{path}' is {'a folder' if path.is_dir() else 'not a regular file'}: expected a file of samples"
@@ -91,8 +90,8 @@ def find_column(table: pd.DataFrame, column: str | int) -> str:
         int(column) if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9) else None
     )
     if number is None:
-        near = get_close_matches(str(column), names, 1, 0.5)
-        hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
+        near = nearest(str(column), names, 0.5)
+        hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
         raise InputError(f"'{source}' has no column {shown(column)}: {hint}")
     if not 1 <= number <= len(names):
         raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1")

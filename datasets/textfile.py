@@ -213,8 +213,10 @@ def _layout(path: Path) -> Layout:
         raise InputError(f"{source} is empty: expected rows of samples")
     lines = [line.strip() for _, line in sample]
     # The one that stands in most lines; ";" before "," since a decimal comma stands with it. One that the first line
-    # lacks is none: under a single name, the commas are decimal.
+    # lacks is none: under a single name, the commas are decimal. Nor is a blank in the name of a single column.
     marks = [mark for mark in "\t;, " if _count(lines[0], mark) > 1]
+    if len(lines) > 1 and not any(_count(line, " ") > 1 for line in lines[1:]):
+        marks = [mark for mark in marks if mark != " "]
     delimiter = max(marks, key=lambda mark: sum(_count(line, mark) > 1 for line in lines), default=";")
     rows = _rows(path, delimiter)
     number, first = next(rows)

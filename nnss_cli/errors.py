@@ -1,6 +1,7 @@
 """Errors that the user can mend. Each becomes one line on stderr and exit code 2."""
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 class InputError(ValueError):
@@ -14,3 +15,10 @@ class DataUnavailable(InputError):
 def unknown(kind: str, found: str, valid: Iterable[str]) -> InputError:
     """The error for a name that is not in a closed list: it always shows the list."""
     return InputError(f"unknown {kind} '{found}': choose from {', '.join(valid)}")
+
+
+def nearest(word: str, names: Iterable[str], likeness: float = 0.6) -> str:
+    """The name that was meant: the same in upper or lower case before a similar one; "" for none."""
+    names = list(names)
+    same = [name for name in names if name.lower() == word.lower()]
+    return next(iter(same or get_close_matches(word, names, 1, likeness)), "")

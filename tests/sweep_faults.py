@@ -13,6 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from nnss_cli.experiment.executor import Event, Executor, Task
+from nnss_cli.experiment.store import Store
+
 # Trivial, but for what `mode` makes it do; `hold` is the phase in which it lingers, and says so by a file in `marks`.
 METHOD = '''
 import os, time
@@ -239,3 +242,25 @@ def leftovers(out: Path) -> list[Path]:
     runs = out / RECORD / "runs"
     found = [*out.rglob(".tmp-*"), *(runs / ".locks").glob("*")]
     return found + [one for one in runs.glob("[!.]*") if not (one / "run.json").exists()]
+
+
+def obey(executor: Executor, task: Task, events: list[Event], store: Store) -> None:
+    """Ask of an executor of one place what each promises: a future that ends within `wait`, with what is on disk."""
+
+    def until(condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 30
+        while not condition():
+            executor.wait(1)
+            assert time.monotonic() < deadline, "it does not come"
+
+    until(lambda: executor.free)
+    future = executor.submit(task)
+    assert not executor.free
+    assert not future.done()
+    assert events == []
+    until(future.done)
+    kept = store.find(task.spec)
+    assert kept is not None
+    assert (future.result().spec, future.result().scores) == (kept.spec, kept.scores)
+    assert events == [Event(task.spec)]
+    until(lambda: executor.free == 1)

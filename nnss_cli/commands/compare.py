@@ -51,7 +51,7 @@ def command(
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.agreement import agreeing
     from nnss_cli.experiment.estimate import DAY, Forecast, amount, duration, estimate
-    from nnss_cli.experiment.processes import Limits
+    from nnss_cli.experiment.executor import Limits
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import AGAIN, plan, sweep
     from nnss_cli.files import require_writable
@@ -63,7 +63,7 @@ def command(
     if scheduler:
         workers = 1  # how many a cluster has is not ours to know: times are those of one
     limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
-    opt.check_executor(executor, scheduler, limits != Limits())
+    opt.check_executor(executor, scheduler)
     chosen = select(methods or [])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})
     data = ready_data.dataset

@@ -326,7 +326,7 @@ def as_command_line(settings: dict[str, Any]) -> str:
     return shlex.join(parts)
 
 
-def check_executor(executor: str, scheduler: str, limited: bool) -> None:
+def check_executor(executor: str, scheduler: str) -> None:
     """Refuse an executor that is unknown, or without what it needs.
 
     Raises:
@@ -336,8 +336,6 @@ def check_executor(executor: str, scheduler: str, limited: bool) -> None:
         raise unknown("executor", executor, ("local", "dask"))
     if (executor == "dask") != bool(scheduler):
         raise InputError(f"--executor {executor}: expected --scheduler ADDRESS with dask, and only there")
-    if scheduler and limited:
-        raise InputError("--time-limit, --memory-limit: expected without --executor dask, whose workers have their own")
 
 
 def check_counts(seeds: int, jobs: int | None) -> int:

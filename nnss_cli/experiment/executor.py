@@ -1,17 +1,17 @@
-"""Who executes runs: this process (`Serial`), or others (`processes`); what all of them do with one."""
+"""Who executes runs: this process (`Serial`), or others (`processes`, `cluster`); what all of them do with one."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.agreement import difference
 from nnss_cli.experiment.execute import execute, sentence
-from nnss_cli.experiment.index import Stamp
 from nnss_cli.experiment.provenance import Watch, command_line
 from nnss_cli.experiment.run import RunResult, RunSpec, Status
 from nnss_cli.experiment.store import Store
@@ -36,60 +36,79 @@ class Task:
 
     spec: RunSpec
     """Which one."""
-    stamp: Stamp
-    """Its run.json when the sweep began: another one since then is another command's result."""
     command: str = field(default_factory=command_line)
     """The command line that asks for it."""
 
 
-@dataclass(frozen=True)
-class Loss:
-    """How a run ended that could not tell it itself."""
+class Lost(Exception):
+    """A run that could not tell itself how it ended."""
 
-    status: Status
-    """crashed, timeout or memory."""
-    reason: str
-    """In words."""
-    seconds: float
-    """For how long it had run."""
-    final: bool = False
-    """Whether it was tried again already."""
+    def __init__(self, status: Status, reason: str, seconds: float, again: bool = False) -> None:
+        """Its status, the reason in words, for how long it had run, whether it is worth another try."""
+        super().__init__(reason)
+        self.status, self.reason, self.seconds, self.again = status, reason, seconds, again
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of a task: a result; or a loss; or neither, where another command is at it."""
+class Limits:
+    """What a run may take; None for as much as there is."""
 
-    task: Task
-    """Which one."""
-    result: RunResult | None = None
-    """What is on disk now."""
-    loss: Loss | None = None
-    """How its process ended."""
+    seconds: float | None = None
+    """Wall time from the start of its fit."""
+    bytes: int | None = None
+    """Memory of its process, libraries included."""
+
+    def __post_init__(self) -> None:
+        """Refuse what nothing can keep to.
+
+        Raises:
+            InputError: a limit is not positive.
+        """
+        if self.seconds is not None and not self.seconds > 0:
+            raise InputError(f"--time-limit: expected a positive number of seconds, found {self.seconds:g}")
+        if self.bytes is not None and not self.bytes > 0:
+            raise InputError(f"--memory-limit: expected a positive number of GB, found {self.bytes / 1e9:g}")
+
+    def require_supported(self) -> None:
+        """Refuse a limit of memory where nothing tells what a process holds.
+
+        Raises:
+            InputError: this machine, which is to execute the runs, has no /proc.
+        """
+        if self.bytes is not None and not Path("/proc/self/statm").exists():
+            raise InputError("--memory-limit: expected a system with /proc (Linux), found none: leave it out")
+
+
+NO_LIMITS = Limits()
 
 
 class Executor(Protocol):
-    """Executes tasks side by side. Results are on disk when `wait` gives them."""
+    """Executes tasks side by side. Futures end, and events are heard, within `wait`: so in the caller's thread."""
 
     @property
     def free(self) -> int:
         """How many tasks it takes at present."""
         ...
 
-    def submit(self, task: Task) -> None:
-        """Begin a task; only where one is `free`."""
+    def submit(self, task: Task) -> Future[RunResult]:
+        """Begin a task whose lock the caller holds; only where one is `free`.
+
+        Returns:
+            What ends with the result, which is on disk then; with `Lost`; or with InputError, where results
+            cannot be kept or a method not be prepared, so that the next one will not do better.
+        """
         ...
 
-    def wait(self, seconds: float) -> list[Outcome]:
-        """What has ended, after at most about so many seconds.
+    def wait(self, seconds: float) -> None:
+        """Until a future has ended, or for about so many seconds at most.
 
         Raises:
-            InputError: results cannot be stored, or no process can be started.
+            InputError: no process can be started, or the scheduler has gone.
         """
         ...
 
     def close(self) -> None:
-        """End at once whatever still runs."""
+        """End at once whatever still runs; its futures end no more."""
         ...
 
 
@@ -98,30 +117,36 @@ class Serial:
 
     def __init__(self, dataset: Dataset, store: Store, on_event: Callable[[Event], None]) -> None:
         self._dataset, self._store, self._on_event = dataset, store, on_event
-        self._ended: list[Outcome] = []
+        self._next: tuple[Task, Future[RunResult]] | None = None
 
     @property
     def free(self) -> int:
-        """One, until its outcome was taken."""
-        return 0 if self._ended else 1
+        """One, unless it waits to be executed."""
+        return int(self._next is None)
 
-    def submit(self, task: Task) -> None:
-        """Execute a task to its end."""
-        self._ended.append(Outcome(task, work(task, self._dataset, self._store, self._on_event)))
+    def submit(self, task: Task) -> Future[RunResult]:
+        """Keep a task for `wait`."""
+        future: Future[RunResult] = Future()
+        self._next = task, future
+        return future
 
-    def wait(self, seconds: float) -> list[Outcome]:
-        """The outcome of the last task."""
-        if not self._ended:
+    def wait(self, seconds: float) -> None:
+        """Execute the task, however long that takes."""
+        if self._next is None:
             time.sleep(seconds)
-        ended, self._ended = self._ended, []
-        return ended
+            return
+        (task, future), self._next = self._next, None
+        try:
+            future.set_result(work(task, self._dataset, self._store, self._on_event))
+        except Exception as error:
+            future.set_exception(error)
 
     def close(self) -> None:
         """There is nothing to end."""
 
 
-def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], None]) -> RunResult | None:
-    """Execute and keep a run, unless another command does so; None where that is still at it.
+def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], None]) -> RunResult:
+    """Execute and keep a run.
 
     A method that raises what is no numerical failure has a fault, which costs this run and no other.
 
@@ -129,44 +154,24 @@ def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], N
         InputError: it cannot be kept, or a method cannot be prepared.
     """
     spec = task.spec
-    with store.lock(spec) as held:
-        if not held:
-            return None
-        if (kept := kept_meanwhile(task, store)) is not None:
-            return kept
-        METHODS[spec.method].prepare(spec.settings)
-        report(Event(spec))
-        started = time.perf_counter()
-        try:
-            return execute(
-                spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)), command=task.command
-            )
-        except InputError:
-            raise
-        except Exception as error:
-            reason = f"{type(error).__name__}: {sentence(error)}"
-            return _write_loss(task, Loss("crashed", reason, time.perf_counter() - started), dataset, store)
+    METHODS[spec.method].prepare(spec.settings)
+    report(Event(spec))
+    started = time.perf_counter()
+    try:
+        return execute(
+            spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)), command=task.command
+        )
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {sentence(error)}"
+        return keep_lost(task, Lost("crashed", reason, time.perf_counter() - started), dataset, store)
 
 
-def settle(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult | None:
-    """Keep as a result that a run was lost; if its result is there all the same, that one. None as in `work`."""
-    with store.lock(task.spec) as held:
-        if not held:
-            return None
-        return kept_meanwhile(task, store) or _write_loss(task, loss, dataset, store)
-
-
-def kept_meanwhile(task: Task, store: Store) -> RunResult | None:
-    """The result that another command has kept since the sweep began; None if there is none, or of other options."""
-    if store.stamp(task.spec) == task.stamp:
-        return None
-    kept = store.find(task.spec)
-    return kept if kept is not None and not difference(task.spec, kept) else None
-
-
-def _write_loss(task: Task, loss: Loss, dataset: Dataset, store: Store) -> RunResult:
+def keep_lost(task: Task, lost: Lost, dataset: Dataset, store: Store) -> RunResult:
+    """Keep as a result that a run was lost."""
     result = RunResult(
-        task.spec, loss.status, loss.reason, (), 0, round(loss.seconds, 3), Watch().provenance(task.command), {},
+        task.spec, lost.status, lost.reason, (), 0, round(lost.seconds, 3), Watch().provenance(task.command), {},
         asdict(dataset.fitting.channels), dataset.notes,
     )  # fmt: skip
     store.clear(task.spec)

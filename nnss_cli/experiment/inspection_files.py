@@ -12,6 +12,7 @@ import pandas as pd
 
 from nnss_cli.datasets.description import Description, read_description, write_description
 from nnss_cli.datasets.formats import find_column, numbers, read_table, times
+from nnss_cli.datasets.units import unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
@@ -180,7 +181,7 @@ def _units(roles: Roles, fields: Mapping[str, Any]) -> list[str]:
     """
     found = []
     for columns, key in ((roles.inputs, "input_units"), (roles.outputs, "output_units")):
-        units = list(fields.get(key) or ["–"] * len(columns))
+        units = list(fields.get(key) or map(unit_in, columns))
         if len(units) != len(columns):
             raise InputError(f"{key}: expected one for each of {', '.join(columns)}, found {len(units)}")
         found += units

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -24,7 +25,7 @@ from typing import Any, TypeAlias
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.executor import Event, Loss, Outcome, Task, work
+from nnss_cli.experiment.executor import Event, Limits, Lost, Task, work
 from nnss_cli.experiment.interrupt import SIGNALS, deferred
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
@@ -36,41 +37,15 @@ PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a run may take; None for as much as there is."""
-
-    seconds: float | None = None
-    """Wall time from the start of its fit."""
-    bytes: int | None = None
-    """Memory of its process, libraries included."""
-
-    def __post_init__(self) -> None:
-        """Refuse what nothing can keep to.
-
-        Raises:
-            InputError: a limit is not positive, or this system cannot tell what a process holds.
-        """
-        if self.seconds is not None and not self.seconds > 0:
-            raise InputError(f"--time-limit: expected a positive number of seconds, found {self.seconds:g}")
-        if self.bytes is not None and not self.bytes > 0:
-            raise InputError(f"--memory-limit: expected a positive number of GB, found {self.bytes / 1e9:g}")
-        if self.bytes is not None and not Path("/proc/self/statm").exists():
-            raise InputError("--memory-limit: expected a system with /proc (Linux), found none: leave it out")
-
-
-NO_LIMITS = Limits()
-
-
-@dataclass(frozen=True)
 class Ready:
     """A worker has started."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """A worker's task has ended: its result, or None where another command is at it."""
+    """A worker's task has ended."""
 
-    result: RunResult | None
+    result: RunResult
 
 
 @dataclass(frozen=True)
@@ -89,7 +64,7 @@ class _Worker:
     def __init__(self, process: BaseProcess, connection: Connection[Any, Any]) -> None:
         self.process, self.connection = process, connection
         self.ready = False  # it has started
-        self.task: Task | None = None
+        self.future: Future[RunResult] | None = None  # of its task
         self.since: float | None = None  # when its task began to fit (time.monotonic)
         self.messages: list[Message] = []  # not heard yet
         self.ended = False  # it will send no more
@@ -120,6 +95,7 @@ class Processes:
         self._dataset, self._store, self._limits, self._on_event = dataset, store, limits, on_event
         self._workers: list[_Worker] = []
         self._false_starts = 0
+        limits.require_supported()
         try:
             for _ in range(jobs):
                 self._start()
@@ -130,29 +106,28 @@ class Processes:
     @property
     def free(self) -> int:
         """Workers without a task."""
-        return sum(worker.ready and worker.task is None for worker in self._workers)
+        return sum(worker.ready and worker.future is None for worker in self._workers)
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task) -> Future[RunResult]:
         """Send a task to a free worker."""
-        worker = next(worker for worker in self._workers if worker.ready and worker.task is None)
-        worker.task, worker.since = task, None
+        worker = next(worker for worker in self._workers if worker.ready and worker.future is None)
+        worker.future, worker.since = Future(), None
         _send(worker, task)
+        return worker.future
 
-    def wait(self, seconds: float) -> list[Outcome]:
-        """What has ended; processes that have gone are replaced."""
+    def wait(self, seconds: float) -> None:
+        """Until a worker tells or ends; processes that have gone are replaced."""
         waited_for = [thing for worker in self._workers for thing in (worker.connection, worker.process.sentinel)]
         wait(waited_for, self._patience(seconds))
-        outcomes = []
         for worker in list(self._workers):
             gone = not worker.process.is_alive()  # before reading: what it sent before its end is there then
             worker.read()
-            outcomes += self._heard(worker)
-            loss = self._loss(worker, gone)
-            if loss is not None:
+            self._hear(worker)
+            lost = self._lost(worker, gone)
+            if lost is not None:
                 self._replace(worker)
-                if worker.task is not None:
-                    outcomes.append(Outcome(worker.task, loss=loss))
-        return outcomes
+                if worker.future is not None:
+                    worker.future.set_exception(lost)
 
     def close(self) -> None:
         """Kill the workers."""
@@ -165,7 +140,7 @@ class Processes:
         ours, theirs = context.Pipe()
         process = context.Process(target=_main, args=(theirs, os.getpid()), daemon=True)
         # no signal between the start and its record; none kills the worker before it minds its parent
-        with deferred(), _blocked():
+        with deferred(), _blocked(), _no_daemon():
             process.start()
             self._workers.append(_Worker(process, ours))
             theirs.close()  # the worker's end is the worker's alone: it closes with it
@@ -184,8 +159,7 @@ class Processes:
                 )
         self._start()
 
-    def _heard(self, worker: _Worker) -> list[Outcome]:
-        outcomes = []
+    def _hear(self, worker: _Worker) -> None:
         messages, worker.messages = worker.messages, []
         for message in messages:
             match message:
@@ -195,31 +169,31 @@ class Processes:
                 case Event():
                     worker.since = worker.since or time.monotonic()
                     self._on_event(message)
-                case Done() if worker.task is not None:
-                    outcomes.append(Outcome(worker.task, message.result))
-                    worker.task = None
-                case Refused():
-                    raise InputError(message.message)
-        return outcomes
+                case Done() if worker.future is not None:
+                    worker.future.set_result(message.result)
+                    worker.future = None
+                case Refused() if worker.future is not None:
+                    worker.future.set_exception(InputError(message.message))
+                    worker.future = None
 
-    def _loss(self, worker: _Worker, gone: bool) -> Loss | None:
+    def _lost(self, worker: _Worker, gone: bool) -> Lost | None:
         """Why a worker is no more, or may not go on."""
         if gone or worker.ended:
             worker.process.join(1.0)
-            return Loss("crashed", f"its process ended twice ({_end_of(worker.process)})", worker.seconds())
-        if worker.task is None or worker.since is None:
+            return Lost("crashed", f"its process ended twice ({_end_of(worker.process)})", worker.seconds(), again=True)
+        if worker.future is None or worker.since is None:
             return None
         limit = self._limits.seconds
         if limit is not None and worker.seconds() > limit:
-            return Loss("timeout", f"took longer than the {limit:g} s of --time-limit", worker.seconds())
+            return Lost("timeout", f"took longer than the {limit:g} s of --time-limit", worker.seconds())
         held = self._limits.bytes and _resident(worker.process.pid)
         if held and self._limits.bytes and held > self._limits.bytes:
             allowed = f"{self._limits.bytes / 1e9:g} of --memory-limit"
-            return Loss("memory", f"its process held {held / 1e9:.2f} GB, more than the {allowed}", worker.seconds())
+            return Lost("memory", f"its process held {held / 1e9:.2f} GB, more than the {allowed}", worker.seconds())
         return None
 
     def _patience(self, seconds: float) -> float:
-        running = [worker for worker in self._workers if worker.task is not None]
+        running = [worker for worker in self._workers if worker.future is not None]
         if running and self._limits.bytes is not None:
             seconds = min(seconds, MEMORY_POLL)
         if self._limits.seconds is not None:
@@ -245,6 +219,21 @@ def _blocked() -> Any:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _no_daemon() -> Any:
+    """Let a daemon of multiprocessing, as a Dask worker under its nanny is, start a process.
+
+    It may not, since it is ended without a chance to end its own; ours see to that themselves (`_end_with`).
+    """
+    config = getattr(multiprocessing.current_process(), "_config", {})
+    daemon = config.pop("daemon", None)
+    try:
+        yield
+    finally:
+        if daemon is not None:
+            config["daemon"] = daemon
 
 
 def _end_of(process: BaseProcess) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import tempfile
@@ -14,7 +15,7 @@ from nnss_cli.machine import prepare
 
 if TYPE_CHECKING:
     from nnss_cli.datasets.record import Dataset
-    from nnss_cli.experiment.executor import Event, Task
+    from nnss_cli.experiment.executor import Event, Limits, Task
     from nnss_cli.plugins import Source
 
 CHATTER = 0.5  # seconds between epochs that are told
@@ -30,13 +31,20 @@ def given(dataset: Dataset) -> Dataset:
 
 
 def executed(
-    task: Task, dataset: Dataset, plugins: tuple[Source, ...], version: str, topic: str, threads: dict[str, str]
+    task: Task,
+    dataset: Dataset,
+    limits: Limits,
+    plugins: tuple[Source, ...],
+    version: str,
+    topic: str,
+    threads: dict[str, str],
 ) -> dict[str, bytes] | str:
-    """Execute a run in a folder that goes with it, as any executor does.
+    """Execute a run in a folder that goes with it, as a sweep on this machine does.
 
     Args:
         task: which run.
         dataset: what is fitted.
+        limits: of the run, which has a process of its own then.
         plugins: files in use where it was asked for.
         version: of nnss there.
         topic: under which it tells of its epochs.
@@ -48,8 +56,10 @@ def executed(
     from distributed import get_worker
 
     from nnss_cli.errors import InputError
-    from nnss_cli.experiment.executor import work
+    from nnss_cli.experiment.executor import NO_LIMITS, Executor, Serial
+    from nnss_cli.experiment.processes import Processes
     from nnss_cli.experiment.store import Store
+    from nnss_cli.experiment.sweep import results
     from nnss_cli.plugins import in_use, use
     from nnss_cli.version import __version__
 
@@ -73,7 +83,13 @@ def executed(
         try:
             if in_use() != plugins:
                 use(plugins)
-            work(task, dataset, store, tell)
+            executor: Executor
+            if limits == NO_LIMITS:
+                executor = Serial(dataset, store, tell)
+            else:
+                executor = Processes(1, dataset, store, limits, tell)
+            with contextlib.closing(executor):
+                list(results([task], executor, dataset, store, {}))
         except InputError as error:
             return str(error)
         files = store.run_folder(task.spec).iterdir()

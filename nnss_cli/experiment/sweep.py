@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.agreement import conflict, difference
-from nnss_cli.experiment.executor import Event, Executor, Serial, Task, settle
-from nnss_cli.experiment.processes import NO_LIMITS, Limits, Processes
+from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Limits, Lost, Serial, Task, keep_lost
+from nnss_cli.experiment.index import Stamp
+from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.provenance import LIBRARIES, MADE_ON, here
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Found, Store
@@ -251,14 +254,15 @@ def sweep(
     store.tidy()
     if not specs:
         return
-    tasks = [Task(spec, store.stamp(spec)) for spec in specs]
+    tasks = [Task(spec) for spec in specs]
+    before = {spec.label: store.stamp(spec) for spec in specs}
     combinations = [task for task in tasks if METHODS[task.spec.method].members]
     trained = [task for task in tasks if not METHODS[task.spec.method].members]
     executor: Executor
     if scheduler:
         from nnss_cli.experiment.cluster import Dask
 
-        executor = Dask(scheduler, dataset, store, on_event)
+        executor = Dask(scheduler, dataset, store, limits, on_event)
     elif limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
         executor = Serial(dataset, store, on_event)
     else:
@@ -268,7 +272,7 @@ def sweep(
         # combinations are made of the others, which a cluster's workers do not have at hand
         last = Serial(dataset, store, on_event) if scheduler else executor
         for part, own in ((trained, executor), (combinations, last)):
-            for result in _results(part, own, dataset, store):
+            for result in results(part, own, dataset, store, before):
                 on_result(result)
                 if fail_fast and result.status != "ok":
                     return
@@ -285,30 +289,69 @@ def _prepare(specs: Sequence[RunSpec]) -> None:
             last = (spec.method, spec.settings)
 
 
-def _results(tasks: Sequence[Task], executor: Executor, dataset: Dataset, store: Store) -> Iterator[RunResult]:
-    """The results of tasks as they come; a run whose process is lost is tried once more."""
+def results(
+    tasks: Sequence[Task], executor: Executor, dataset: Dataset, store: Store, before: Mapping[str, Stamp]
+) -> Iterator[RunResult]:
+    """The results of tasks as they come, whoever executes them; a run whose process is lost is tried once more.
+
+    Args:
+        tasks: which runs.
+        executor: who executes them.
+        dataset: what is fitted.
+        store: where they are kept.
+        before: stamps when the sweep began, by label, of finished runs that are to be replaced.
+
+    Raises:
+        InputError: results cannot be kept, or the executor cannot go on.
+    """
     ready, elsewhere = deque(tasks), deque[Task]()  # the latter: another command is at them
+    running: dict[Future[RunResult], tuple[Task, contextlib.ExitStack]] = {}  # with their locks
     tries: Counter[str] = Counter()
-    running = 0
     looked = time.monotonic()
-    while ready or elsewhere or running:
-        if elsewhere and executor.free > len(ready) and time.monotonic() - looked > POLL:
-            ready.extend(elsewhere)
-            elsewhere.clear()
-            looked = time.monotonic()
-        while ready and executor.free:
-            executor.submit(ready.popleft())
-            running += 1
-        for outcome in executor.wait(POLL if elsewhere else IDLE):
-            running -= 1
-            task, result = outcome.task, outcome.result
-            if outcome.loss is not None:
-                tries[task.spec.label] += 1
-                if outcome.loss.status == "crashed" and not outcome.loss.final and tries[task.spec.label] < TRIES:
-                    ready.appendleft(task)
+    try:
+        while ready or elsewhere or running:
+            if elsewhere and executor.free > len(ready) and time.monotonic() - looked > POLL:
+                ready.extend(elsewhere)
+                elsewhere.clear()
+                looked = time.monotonic()
+            while ready and executor.free:
+                task, held = ready.popleft(), contextlib.ExitStack()
+                if not held.enter_context(store.lock(task.spec)):
+                    elsewhere.append(task)
                     continue
-                result = settle(task, outcome.loss, dataset, store)
-            if result is None:
-                elsewhere.append(task)
-            else:
+                kept = _kept_meanwhile(task.spec, before.get(task.spec.label), store)
+                if kept is None:
+                    running[executor.submit(task)] = task, held
+                else:
+                    held.close()
+                    yield kept
+            if ready or elsewhere or running:
+                executor.wait(POLL if elsewhere else IDLE)
+            for future in [future for future in running if future.done()]:
+                task, held = running.pop(future)
+                with held:
+                    try:
+                        result = future.result()
+                    except Lost as lost:
+                        tries[task.spec.label] += 1
+                        if lost.again and tries[task.spec.label] < TRIES:
+                            ready.appendleft(task)
+                            continue
+                        # it may have been lost between its end and its telling
+                        kept = _kept_meanwhile(task.spec, before.get(task.spec.label), store)
+                        result = kept or keep_lost(task, lost, dataset, store)
                 yield result
+    except BaseException:
+        executor.close()  # before anyone else may take what it was at
+        raise
+    finally:
+        for _, held in running.values():
+            held.close()
+
+
+def _kept_meanwhile(spec: RunSpec, before: Stamp, store: Store) -> RunResult | None:
+    """The result that was kept since the sweep began; None if there is none, or of other options."""
+    if store.stamp(spec) == before:
+        return None
+    kept = store.find(spec)
+    return kept if kept is not None and not difference(spec, kept) else None

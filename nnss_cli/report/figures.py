@@ -23,6 +23,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.units import titled
 from nnss_cli.files import write_atomically
 
 STYLE: Any = {
@@ -70,7 +71,7 @@ class Axis:
     unit: str
 
     def __str__(self) -> str:
-        return self.name if self.unit == "–" else f"{self.name} [{self.unit}]"
+        return titled(self.name, self.unit)
 
 
 def draw_boxplot(

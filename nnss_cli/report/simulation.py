@@ -9,14 +9,10 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.figures import STYLE, style_of
 from nnss_cli.report.tables import number
-
-
-def titled(name: str, unit: str) -> str:
-    """A channel with its unit, where it has one."""
-    return f"{name} [{unit}]" if unit not in ("", "–") else name
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:

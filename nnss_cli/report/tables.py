@@ -12,6 +12,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.record import FITTED_ON
+from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.provenance import MADE_ON, MADE_WITH
@@ -171,8 +172,7 @@ def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dic
 def score_rows(result: RunResult) -> list[dict[str, str]]:
     """One run's errors by split and output, each with its own name and unit."""
     names, units = result.channels["outputs"], result.channels["output_units"]
-    titles = [name if unit == "–" else f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
-    outputs = {f"y{i + 1}": title for i, title in enumerate(titles)}
+    outputs = {f"y{i + 1}": titled(*pair) for i, pair in enumerate(zip(names, units, strict=True))}
     return [
         {
             "split": score.split, "output": outputs[score.output], "RMSE": number(score.rmse),

@@ -20,6 +20,7 @@ from nnss_cli.validation.linearisation import linearisations, pole_map
 from nnss_cli.validation.predictor import require_finite, step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
+from nnss_cli.validation.stepping import free_run
 from nnss_cli.validation.trained import Forecaster
 from nnss_cli.validation.verdict import stated, verdict
 
@@ -44,7 +45,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
             f"{name}: {shortest} samples are too few to validate on: expected {w + SHORTEST} or more, {SHORTEST} "
             "beyond those that tell the initial state"
         )
-    simulated = [trained.model.simulate(record.u, record.y[:w]) for record in records]
+    simulated = [free_run(trained.model, record.u, record.y[:w]) for record in records]
     for simulation in simulated:
         require_finite("simulation", simulation.y)
     one_ahead = [found.predict(record, 1) for record in records]

@@ -61,7 +61,7 @@ class Predictor:
     def _member(
         self, system: Stepper, K: FloatArray, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], w: int
     ) -> FloatArray:
-        free = system.model.simulate(u, y[:w])
+        free = system.simulate(u, y[:w])
         known, inputs = system.scaling.normalise_y(y), system.scaling.normalise_u(u)
         if len(K) > system.size:
             system = system.disturbed()

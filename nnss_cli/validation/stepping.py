@@ -8,6 +8,7 @@ each output below it, y(k) = h(z(k), u(k)) + d(k), d(k+1) = d(k), which a gain c
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -16,13 +17,15 @@ import torch
 
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace, propagate
-from nnss_cli.datasets.record import FloatArray, Scaling
+from nnss_cli.datasets.record import FloatArray, Scaling, Simulation
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.training.fast import Weights
 
 CHUNK = 4096  # points whose step is taken at a time
+LONG = 5000  # samples from which on an NN-SS is run by compiled kernels, which a machine compiles once, for seconds
 
 
 class Stepper(Protocol):
@@ -50,6 +53,10 @@ class Stepper(Protocol):
 
     def disturbed(self) -> Stepper:
         """The same with a disturbance of each output in z."""
+        ...
+
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """The model's free simulation, in physical units; of a long record in compiled code, equal up to rounding."""
         ...
 
     def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
@@ -89,6 +96,14 @@ def steppers_of(model: Model) -> tuple[Stepper, ...]:
     return tuple(_stepper(member) for member in members)
 
 
+def free_run(model: Model, u: FloatArray, y_init: FloatArray) -> Simulation:
+    """`model.simulate`, which may be of a plug-in's kind; of a long record in compiled code, equal up to rounding."""
+    if len(u) < LONG or not isinstance(model, NNSS | Ensemble):
+        return model.simulate(u, y_init)
+    each = [system.simulate(u, y_init) for system in steppers_of(model)]
+    return Simulation(np.mean([one.y for one in each], axis=0), each[0].x)
+
+
 def _stepper(model: Model) -> Stepper:
     if isinstance(model, NNSS):
         return Neural(model)
@@ -101,7 +116,7 @@ def _stepper(model: Model) -> Stepper:
 
 
 class Neural:
-    """An NN-SS model by its own torch step."""
+    """An NN-SS model by its own torch step; along a long record by the compiled one, which is equal up to rounding."""
 
     def __init__(self, model: NNSS, disturbed: bool = False) -> None:
         self.model, self.scaling = model, model.scaling
@@ -113,6 +128,32 @@ class Neural:
     def disturbed(self) -> Neural:
         """See `Stepper`."""
         return Neural(self.model, True)
+
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """See `Stepper`."""
+        if len(u) < LONG:
+            return self.model.simulate(u, y_init)
+        known = np.atleast_2d(y_init)
+        x0 = self.model.simulate(u[: len(known)], known).x[0]
+        y, x = self._compiled.free_runs(
+            self.scaling.normalise_u(u)[:, :, None], self.scaling.normalise_y(known[:1]).T, x0[:, None]
+        )
+        y, x = y[:, :, 0].astype(np.float64), x[:, :, 0].astype(np.float64)
+        return Simulation(self.scaling.restore_y(y), x)
+
+    @cached_property
+    def _compiled(self) -> Weights:
+        return Weights(self.model)
+
+    def _compiled_step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `step`, of a few points: two samples of a free run; the second tells the state after the first."""
+        n, m = self.order, self.outputs
+        before = z[:, n : n + m] if self.with_y else np.zeros((len(z), m))
+        y, x = self._compiled.free_runs(np.stack([u.T, u.T]), before.T, z[:, :n].T)
+        d = z[:, self.size - m * self.has_disturbance :]
+        output = y[0].T.astype(np.float64)
+        following = [x[1].T.astype(np.float64), output, d] if self.with_y else [x[1].T.astype(np.float64), d]
+        return np.concatenate(following, axis=1), output + d if self.has_disturbance else output
 
     def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
         """See `Stepper`."""
@@ -147,8 +188,9 @@ class Neural:
         """See `Stepper`."""
         z, predicted = np.full((len(u) + 1, *z0.shape), np.nan), np.full(y.shape, np.nan)
         z[0] = z0
+        step = self.step if len(u) < LONG else self._compiled_step
         for k in range(len(u)):
-            following, predicted[k] = self.step(z[k], u[k])
+            following, predicted[k] = step(z[k], u[k])
             with np.errstate(over="ignore", invalid="ignore"):
                 z[k + 1] = following + (K @ (y[k] - predicted[k])[..., None])[..., 0]
         return z, predicted
@@ -173,6 +215,10 @@ class Linear:
     def disturbed(self) -> Linear:
         """See `Stepper`."""
         return Linear(self.model, True)
+
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """See `Stepper`."""
+        return self.model.simulate(u, y_init)
 
     def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
         """See `Stepper`."""

@@ -15,7 +15,7 @@ from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
 from nnss_cli.validation.predictor import Predictor, require_finite
-from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.stepping import free_run, steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
 
@@ -59,7 +59,7 @@ class Forecaster:
     def limits_of_simulation(self, record: Record, level: float) -> Limits:
         """The band around the free simulation of a record."""
         band = interval(self.trained, self.fitting.val, level)
-        y = self.trained.model.simulate(record.u, record.y[: self.trained.init_window]).y
+        y = free_run(self.trained.model, record.u, record.y[: self.trained.init_window]).y
         return Limits.of(band, y, None, record.y, self.trained.init_window)
 
 
@@ -256,7 +256,7 @@ def predicted_with_spread(
     w = trained.init_window
     if scale == "residuals":
         if horizon is None:
-            simulated = trained.model.simulate(record.u, record.y[:w]).y
+            simulated = free_run(trained.model, record.u, record.y[:w]).y
             require_finite("simulation", simulated)
             return simulated, None
         assert predictor is not None

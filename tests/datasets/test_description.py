@@ -115,6 +115,8 @@ def toml(**keys: object) -> str:
         ({"outputs": []}, "outputs: expected a list of at least one value, found ()"),
         ({"Ts": "0.1"}, "'d.toml': Ts: expected a positive number of seconds, found '0.1'"),
         ({"Ts": True}, "Ts: expected a positive number"),
+        ({"Ts": 10**400}, "Ts: expected a positive number of seconds, found 1000"),
+        ({"Ts": None, "ts": 0.1}, "unknown key 'ts': did you mean 'Ts'"),
         ({"Ts": float("inf")}, "Ts: expected a positive number"),
         ({"Ts": None}, "Ts: expected the sampling time in seconds, or a time column"),
         ({"inputs": [0]}, "inputs: expected a name, or a number from 1, found .0."),

@@ -447,3 +447,21 @@ def test_the_module_loads_no_optional_package() -> None:
     code = "import sys, nnss_cli.datasets.formats; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"torch", "openpyxl", "h5py", "scipy.io", "scipy.signal"} & set(loaded)
+
+
+@pytest.mark.parametrize(
+    "text", ["pump voltage\n1\n2\n", "pump  voltage [V]\n1,5\n2,5\n", "# made by us\npump voltage\n1\n"]
+)
+def test_a_blank_in_the_name_of_a_single_column_is_no_delimiter(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text(text)
+    table = read_table(path)
+    assert [*table.columns] == [" ".join(text.split("\n")[-3 if text.startswith("#") else 0].split())]
+    assert table.dtypes.iloc[0] == np.float64
+
+
+def test_a_number_beyond_the_range_of_doubles_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text("u,y\n1,2\n" + "9" * 400 + ",3\n")
+    with pytest.raises(InputError, match="row 3, column 'u': expected a finite number, found inf"):
+        numbers(read_table(path), "u")

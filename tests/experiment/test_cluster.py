@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +18,8 @@ import sweep_faults as faults
 from nnss_cli.datasets.catalog import load
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.executor import Event
+from nnss_cli.experiment.cluster import Dask
+from nnss_cli.experiment.executor import NO_LIMITS, Event, Task
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan, sweep
@@ -57,12 +58,12 @@ class Cluster:
         for _ in range(2):
             self.add_worker()
 
-    def add_worker(self, **environment: str) -> None:
+    def add_worker(self, kind: str = "Worker", **environment: str) -> None:
         code = (
             "import asyncio, sys\n"
-            "from distributed import Worker\n"
+            f"from distributed import {kind}\n"
             "async def main():\n"
-            "    async with Worker(sys.argv[1], nthreads=1, dashboard=False) as worker:\n"
+            f"    async with {kind}(sys.argv[1], nthreads=1, dashboard=False) as worker:\n"
             "        await worker.finished()\n"
             "if __name__ == '__main__':\n"
             "    asyncio.run(main())\n"
@@ -181,6 +182,75 @@ def test_a_cluster_gives_the_numbers_of_this_machine(
     assert scores(tmp_path / "away") == scores(tmp_path / "here")
     assert {event.spec.label for event in away.events} == {event.spec.label for event in here.events}
     assert not faults.leftovers(tmp_path / "away")
+
+
+def test_it_is_an_executor_as_the_others_are(cluster: Cluster, method: Path, tmp_path: Path) -> None:
+    cluster.workers.pop().kill()
+    store = Store(tmp_path / "out", "twotank-sim", "paper")
+    dataset = load(store.dataset, store.protocol)
+    (spec,) = plan(store, dataset, select(["trivial"]), [1], range(1), {}, False).todo
+    events: list[Event] = []
+    with contextlib.closing(Dask(cluster.address, dataset, store, NO_LIMITS, events.append)) as executor:
+        assert faults.wait_until(lambda: len(executor._client.scheduler_info()["workers"]) == 1)
+        faults.obey(executor, Task(spec), events, store)
+
+
+def test_files_that_go_with_their_worker_before_they_came_are_made_again(
+    cluster: Cluster, method: Path, tmp_path: Path
+) -> None:
+    cluster.workers.pop().kill()
+    store = Store(tmp_path / "out", "twotank-sim", "paper")
+    dataset = load(store.dataset, store.protocol)
+    (spec,) = plan(store, dataset, select(["trivial"]), [1], range(1), {}, False).todo
+    events: list[Event] = []
+    with contextlib.closing(Dask(cluster.address, dataset, store, NO_LIMITS, events.append)) as executor:
+        assert faults.wait_until(lambda: executor.free == 1 or executor.wait(0.1))
+        future = executor.submit(Task(spec))
+        (running,) = executor._running.values()
+        assert faults.wait_until(lambda: running.files.status == "finished")
+        cluster.workers[0].kill()
+        assert faults.wait_until(lambda: running.files.status != "finished")
+        executor.wait(0.5)
+        assert not future.done()
+        cluster.add_worker()
+        assert faults.wait_until(lambda: future.done() or executor.wait(1))
+        assert future.result().status == "ok"
+    assert len(events) == 2
+
+
+def test_limits_hold_there_as_here_and_the_worker_stays(
+    cluster: Cluster, method: Path, tmp_path: Path, nnss: Callable
+) -> None:
+    """Its nanny makes a worker a daemon of multiprocessing, which may not start processes; that of a run is started."""
+    for worker in cluster.workers:
+        worker.kill()
+        worker.wait()
+    cluster.add_worker("Nanny")
+
+    def ended(out: str, *more: str, seeds: int = 2, **options: object) -> object:
+        line = faults.command(method, tmp_path / out, *more, seeds=seeds, **options)[3:]
+        return nnss(*line, "--executor", "dask", "--scheduler", cluster.address)
+
+    def statuses(out: str) -> dict[int, tuple[str, str]]:
+        runs = Store(tmp_path / out, "twotank-sim", "paper").results()
+        return {result.spec.seed: (result.status, result.reason) for result in runs}
+
+    stuck = ended("out", "--time-limit", "0.5", mode="sleep")
+    assert stuck.code == 1, stuck.err
+    assert statuses("out") == {0: ("ok", ""), 1: ("timeout", "took longer than the 0.5 s of --time-limit")}
+    again = ended("out", "--time-limit", "0.5", mode="sleep")
+    assert "0 runs to do, 2 done already" in again.out
+    again = ended("out", "--retry-failed", "--memory-limit", "0.001", mode="sleep")
+    assert "1 runs to do, 1 done already" in again.out
+    assert statuses("out")[1][0] == "memory"
+    assert "more than the 0.001 of --memory-limit" in statuses("out")[1][1]
+    lost = ended("killed", "--fail-fast", "--time-limit", "60", seeds=4, mode="kill")
+    assert "Stopped at the first run without a result (--fail-fast): 2 are left" in lost.out
+    assert statuses("killed")[1] == (
+        "crashed",
+        "its process ended twice (SIGKILL: out of memory, or killed by hand)",
+    )
+    assert cluster.workers[-1].poll() is None
 
 
 @pytest.mark.slow

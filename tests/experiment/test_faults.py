@@ -19,13 +19,13 @@ from nnss_cli.datasets.catalog import load
 
 from nnss_cli import files
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.executor import Event, Executor, Serial, Task
+from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Serial, Task
 from nnss_cli.experiment.interrupt import deferred, interruptible
 from nnss_cli.experiment.lock import lock
-from nnss_cli.experiment.processes import Limits, Processes
+from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
-from nnss_cli.experiment.sweep import plan, sweep
+from nnss_cli.experiment.sweep import plan, results, sweep
 from nnss_cli.methods import select
 from nnss_cli.plugins import read_source, use
 
@@ -259,39 +259,30 @@ def test_a_run_that_another_command_holds_is_waited_for_and_taken_over_when_it_d
 
 @pytest.mark.parametrize("kind", ["serial", "processes"])
 def test_executors_do_the_same_behind_one_interface(kind: str, method: Path, tmp_path: Path) -> None:
+    """Dask's is asked the same in test_cluster.py."""
     store = store_in(tmp_path / "out")
     dataset = load(store.dataset, store.protocol)
     (spec,) = plan(store, dataset, select(["trivial"]), [1], range(1), {}, False).todo
     events: list[Event] = []
-    executor: Executor
-    if kind == "serial":
-        executor = Serial(dataset, store, events.append)
-    else:
-        executor = Processes(1, dataset, store, Limits(), events.append)
-    try:
-        while not executor.free:
-            assert executor.wait(10) == []
-        executor.submit(Task(spec, None))
-        assert not executor.free
-        while not (ended := executor.wait(10)):
-            continue
-        (once,) = ended
-        assert (once.task.spec, once.loss) == (spec, None)
-        assert once.result is not None
-        assert [once.result.spec.label] == [result.spec.label for result in store.results()]
-        assert events == [Event(spec)]
-        executor.submit(Task(spec, None))  # it is there meanwhile: not done again
-        while not (ended := executor.wait(10)):
-            continue
-        assert ended[0].result == store.results()[0]
-        assert events == [Event(spec)]
-        with store.lock(spec):  # another command is at it
-            executor.submit(Task(spec, store.stamp(spec)))
-            while not (ended := executor.wait(10)):
-                continue
-        assert (ended[0].result, ended[0].loss) == (None, None)
-    finally:
-        executor.close()
+    executor: Executor = (
+        Serial(dataset, store, events.append)
+        if kind == "serial"
+        else Processes(1, dataset, store, NO_LIMITS, events.append)
+    )
+    with contextlib.closing(executor):
+        faults.obey(executor, Task(spec), events, store)
+
+
+def test_what_another_command_has_kept_meanwhile_is_not_done_again(method: Path, tmp_path: Path) -> None:
+    store = store_in(tmp_path / "out")
+    dataset = load(store.dataset, store.protocol)
+    todo = plan(store, dataset, select(["trivial"]), [1], range(2), {}, False).todo
+    events: list[Event] = []
+    coming = results([Task(spec) for spec in todo], Serial(dataset, store, events.append), dataset, store, {})
+    assert next(coming).spec == todo[0]
+    sweep(todo[1:], dataset, store, 1, NOTHING, NOTHING)
+    assert list(coming) == [store.find(todo[1])]
+    assert events == [Event(todo[0])]
 
 
 def test_a_lock_is_held_by_one_and_leaves_nothing(tmp_path: Path) -> None:

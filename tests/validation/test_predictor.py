@@ -9,14 +9,16 @@ import pytest
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.catalog import BENCHMARKS, load
 from nnss_cli.datasets.download import fetch
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
 from nnss_cli.methods.linear import subspace_model
+from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel
+from nnss_cli.validation import stepping
 from nnss_cli.validation.gain import _candidates, _contraction, estimate_gain
 from nnss_cli.validation.predictor import Predictor, persistence, step_table
 from nnss_cli.validation.stepping import steppers_of
@@ -111,6 +113,100 @@ def test_the_observer_is_the_equation(model: Model, disturbed: bool) -> None:
         if disturbed:  # it adds to the output, and lasts
             shifted = z0 + np.r_[np.zeros(plain.size), np.ones(stepper.outputs)]
             np.testing.assert_allclose(stepper.step(shifted, u[:1])[1], stepper.step(z0, u[:1])[1] + 1, rtol=1e-5)
+
+
+KINDS = ["x", "x+y", "float32", "integrator", "ensemble"]
+
+
+def of_kind(kind: str, neural: Callable[..., NNSS]) -> NNSS | Ensemble:
+    if kind == "integrator":
+        return integrating("x+u")
+    if kind == "ensemble":
+        return Ensemble((neural("x"), neural("x+y", n=3)))
+    return neural("x", dtype="float32") if kind == "float32" else neural(kind, n=3, r=2, m=2)
+
+
+@pytest.mark.parametrize("window", [1, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_along_a_long_record_it_is_the_same_in_compiled_code(
+    kind: str, window: int, neural: Callable[..., NNSS], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = of_kind(kind, neural)
+    u, y = signals(model)
+    tolerance = 1e-4 if kind == "float32" else 1e-9
+
+    def found() -> list[FloatArray]:
+        simulation = stepping.free_run(model, u, y[:window])
+        several = []  # candidates side by side, with a disturbance
+        for plain in steppers_of(model):
+            system = plain.disturbed()
+            K = 0.05 * np.random.default_rng(3).standard_normal((4, system.size, system.outputs))
+            z0 = np.repeat(system.start(plain.model.simulate(u[:window], y[:window]).x[0], y[0])[None], 4, axis=0)
+            several += system.observe(K, z0, *(np.repeat(signal[:, None], 4, axis=1) for signal in (u, y)))
+        predicted = Predictor(model, gains(model, 0.05)).predict_each(u, y, (1, 5, None), window)
+        return [simulation.y, simulation.x, predicted, *several]
+
+    plain = found()
+    monkeypatch.setattr(stepping, "LONG", 1)
+    compiled = found()
+    assert any((one != other).any() for one, other in zip(compiled, plain, strict=True)), "nothing was compiled"
+    for one, other in zip(compiled, plain, strict=True):
+        np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
+        assert one.dtype == other.dtype
+
+
+def integrating(scheduling: str) -> NNSS:
+    """An NN-SS model whose outputs sum up what its stable part gives."""
+    random = np.random.default_rng(4)
+    scaling = Scaling(
+        random.normal(size=1), random.uniform(0.5, 2, 1), random.normal(size=2), random.uniform(0.5, 2, 2)
+    )
+    a = Architecture(
+        2, 1, 2, hidden=(6,), encoder=(4,), scheduling=scheduling, dtype="float64", gamma=0.9, integrator=True
+    )
+    named = Channels(("u1",), ("y1", "y2"), ("V",), ("m", "m"))
+    model = NNSS(a, scaling, named, 0.1)
+    model.initialise(random)
+    model.step_size.fill_(0.05)
+    return model
+
+
+@pytest.mark.parametrize("scheduling", ["x", "x+u"])
+def test_an_integrators_predictor(scheduling: str) -> None:
+    """Its outputs are states: the step and its Jacobians have them, and K = 0 simulates."""
+    model = integrating(scheduling)
+    (system,) = steppers_of(model)
+    assert system.size == model.architecture.states == 4
+    u, y = signals(model)
+    simulated = model.simulate(u, y[:1])
+    np.testing.assert_array_equal(Predictor(model, gains(model, 0.0)).predict(u, y, 1), simulated.y)
+    z, v = simulated.x[:5], model.scaling.normalise_u(u)[:5]
+    following, output = system.step(z, v)
+    np.testing.assert_allclose(following, simulated.x[1:6], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(model.scaling.restore_y(output), simulated.y[:5], rtol=1e-9)
+    F, H = system.jacobians(z, v)
+    for i in range(system.size):
+        d = 1e-6 * np.eye(system.size)[i]
+        (ahead, y1), (behind, y0) = system.step(z + d, v), system.step(z - d, v)
+        np.testing.assert_allclose(F[:, :, i], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(H[:, :, i], (y1 - y0) / 2e-6, rtol=1e-5, atol=1e-7)
+
+
+def test_a_gain_holds_an_integrator_that_drifts() -> None:
+    """Its simulation follows no drift of the outputs, and noise lies on them: the observer does, and is stable."""
+    model = integrating("x")
+    (system,) = steppers_of(model)
+    u, y = signals(model, K=300)
+    simulated = model.simulate(u, y[:1])
+    random = np.random.default_rng(7)
+    walk = simulated.y + np.cumsum(0.05 * random.standard_normal(y.shape), axis=0)
+    record = Record(u, walk + 0.02 * random.standard_normal(y.shape), 0.1)
+    gain = estimate_gain(system, [record[:150]], [record[150:]])
+    assert gain.origin != "none"
+    assert gain.rate < 1
+    table = step_table(Predictor(model, (gain.K,)), [record[150:]], (1,))
+    assert (table.predicted[0] < table.persistence[0]).all()
+    assert (table.predicted[0] < 0.5 * table.simulated).all()
 
 
 def test_a_horizon_of_none_or_less_is_refused(linear: LinearModel) -> None:

@@ -1,0 +1,50 @@
+"""Units in the names of columns."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nnss_cli.datasets.description import Description
+from nnss_cli.datasets.experiments import load_experiments
+from nnss_cli.datasets.units import titled, unit_in
+
+from nnss_cli.errors import nearest
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("y [V]", "V"), ("level (cm)", "cm"), ("a[m/s^2]", "m/s^2"), ("a (m/s²)", "m/s²"), ("T [°C]", "°C"),
+        ("n (rpm)", "rpm"), ("valve [%]", "%"), ("torque (N m)", "N m"), ("flow (l/min)", "l/min"), ("p (kPa)", "kPa"),
+        ("f (1/s)", "1/s"), ("anything [widgets]", "widgets"),
+        ("y", "–"), ("tank (left)", "–"), ("y [1]", "–"), ("x (2)", "–"), ("[V]", "–"), ("u [V] raw", "–"), ("", "–"),
+        ("flow (in)", "–"),
+    ],
+)  # fmt: skip
+def test_the_unit_is_what_a_name_ends_in(name: str, unit: str) -> None:
+    assert unit_in(name) == unit
+
+
+def test_a_title_tells_a_unit_once() -> None:
+    assert titled("y", "V") == "y [V]"
+    assert titled("level (cm)", "cm") == "level (cm)"
+    assert titled("level (cm)", "m") == "level (cm) [m]"
+    assert titled("y", "–") == "y"
+
+
+def test_a_record_takes_the_units_of_its_columns_unless_it_is_told(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).standard_normal((300, 3))
+    rows = "".join("{:.6f},{:.6f},{:.6f}\n".format(*row) for row in values)
+    (tmp_path / "plant.csv").write_text(f"u [V],n,level (cm)\n{rows}")
+    described = {"name": "a", "files": "plant.csv", "inputs": ["u [V]", "n"], "Ts": 1.0, "folder": tmp_path}
+    channels = load_experiments(Description(**described, outputs="level (cm)")).channels
+    assert (channels.inputs, channels.input_units) == (("u [V]", "n"), ("V", "–"))
+    assert (channels.outputs, channels.output_units) == (("level (cm)",), ("cm",))
+    told = load_experiments(Description(**described, outputs="level (cm)", output_units="mm")).channels
+    assert told.output_units == ("mm",)
+
+
+def test_the_same_name_in_another_case_is_nearer_than_a_similar_one() -> None:
+    assert nearest("ts", ["test", "Ts"]) == "Ts"
+    assert nearest("ouputs", ["inputs", "outputs"]) == "outputs"
+    assert nearest("q", ["inputs"]) == ""
