@@ -36,6 +36,8 @@ def command(
     scheduler: opt.Scheduler = "",
     dry_run: opt.DryRun = False,
     yes: opt.Yes = False,
+    formats: opt.Formats = None,
+    columns: opt.Columns = None,
     changes: dict[str, Any] | None = None,
     own: dict[str, Any] | None = None,
 ) -> None:
@@ -57,8 +59,10 @@ def command(
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
     from nnss_cli.report.build import write_comparison
+    from nnss_cli.report.style import Look
     from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
 
+    look = Look(tuple(formats or ()), columns)
     workers = opt.check_counts(seeds, jobs)
     if scheduler:
         workers = 1  # how many a cluster has is not ours to know: times are those of one
@@ -135,7 +139,7 @@ def command(
     if not asked:
         emit("end", files=[], left_out=table.left_out)
         raise typer.Exit(1)
-    files = write_comparison(store, table=table)
+    files = write_comparison(store, table=table, look=look)
     print_rows(terminal_rows(asked), terminal_title(asked))
     combinations = terminal_rows(asked, apart=True)
     if combinations:

@@ -124,6 +124,16 @@ Scheduler = Annotated[
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
+Formats = Annotated[
+    list[str] | None,
+    typer.Option("--format", metavar="NAME …", help="Files of figures: png, svg, pdf.", show_default="png"),
+]
+Columns = Annotated[
+    int | None,
+    typer.Option(
+        "--columns", metavar="1|2", help="Figures as wide as so many columns of a paper.", show_default="for a screen"
+    ),
+]
 Quiet = Annotated[bool | None, typer.Option("--quiet", help="Print nothing but errors.")]
 AsJson = Annotated[
     bool | None, typer.Option("--json", help="Print events for machines: one JSON object a line (docs/reliability.md).")
