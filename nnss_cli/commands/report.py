@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from nnss_cli.commands.options import Columns, Formats, Out, with_output
+from nnss_cli.commands.options import Columns, Formats, Out
 
 
-@with_output
 def command(
     out: Out = Path("results"),
     times: Annotated[

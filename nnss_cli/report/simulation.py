@@ -14,7 +14,7 @@ from nnss_cli.experiment.run import Score
 from nnss_cli.report.dense import is_dense
 from nnss_cli.report.figures import draw_line
 from nnss_cli.report.style import MEASURED, STYLE, style_of
-from nnss_cli.report.tables import number
+from nnss_cli.report.tables import number, percent
 
 
 def titled(name: str, unit: str) -> str:
@@ -28,7 +28,7 @@ def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, st
     return [
         {
             "output": names[int(score.output[1:]) - 1], "RMSE": number(score.rmse), "RMSE/σ": number(score.nrmse),
-            "fit [%]": f"{score.fit_percent:.1f}",
+            "fit [%]": percent(score.fit_percent),
         }
         for score in scores
     ]  # fmt: skip
