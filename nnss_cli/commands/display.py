@@ -98,7 +98,7 @@ class RunProgress:
             console=console, transient=True, disable=not console.is_terminal,
         )  # fmt: skip
         work = sum(_work(spec) for spec in specs)
-        self.overall = self.progress.add_task("all runs", total=work, state=f"0/{self.total}")
+        self.overall = self.progress.add_task("all runs", total=work, state=f"0/{self.total}, starting")
         self.tasks: dict[str, Any] = {}
         self.shown: dict[str, int] = {}  # epochs of a run that count; candidates and stages may take more
 
@@ -110,17 +110,21 @@ class RunProgress:
         self.progress.stop()
 
     def on_event(self, event: Event) -> None:
-        """Show a run's epoch."""
+        """Show a run's epoch, or what it is at before there is one."""
         label = event.spec.label
         if event.epoch:
             emit("epoch", run=name_of(event.spec), epoch=event.epoch, val_rmse=event.val_rmse)
-        else:
+        elif not event.waits_for:
             emit("start", run=name_of(event.spec))
-        if label not in self.tasks:
-            self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=_work(event.spec), state="")
-        if event.epoch:
+        if label not in self.tasks:  # without a total the bar moves to and fro
+            self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=None, state="")
+            self.progress.update(self.overall, state=f"{self.finished}/{self.total}")
+        if event.waits_for:
+            self.progress.update(self.tasks[label], total=None, state=event.waits_for)
+        elif event.epoch:
             self.progress.update(
                 self.tasks[label],
+                total=_work(event.spec),
                 completed=event.epoch,
                 state=f"epoch {event.epoch}, val {event.val_rmse:.4f}",
             )
