@@ -41,7 +41,7 @@ from nnss_cli.report.evidence import (
     paper_comparison,
     released_comparison,
 )
-from nnss_cli.report.published import published_comparison
+from nnss_cli.report.published import paper_places, published_comparison
 from nnss_cli.report.standing import (
     MEANING,
     combinations,
@@ -239,6 +239,12 @@ def _section(store: Store, results: Sequence[RunResult], files: Sequence[Path], 
             "only runs of which every setting is the paper's. The released medians' intervals follow from their "
             "quartiles (± 1.57 (q3 − q1)/√n), ours from order statistics.",
             released_comparison(results),
+        ),
+        (
+            "Places beside the paper and its released models\n\nEvery method and recipe that ran (bold), medians over "
+            "seeds, among what the paper prints and its authors released. A place is no test: intervals that overlap "
+            "settle nothing.",
+            paper_places(results),
         ),
         (
             "Among the published results\n\nOurs are medians over seeds, each method at the order that validates best; "
