@@ -21,7 +21,7 @@ def lines_of(rows: Sequence[Mapping[str, str]], heads: Mapping[str, str], text_c
         rows: cells by name; all rows have the same names.
         heads: name → header, where it is another one; a second line of it is a unit, left out where it asks for
             more room than there is.
-        text_columns: columns that say what a row is, to the left; the others are to the right.
+        text_columns: columns that say what a row is, to the left; the others are to the right, unless they are words.
         width: of the terminal.
     """
     names = list(rows[0])
@@ -43,9 +43,7 @@ def lines_of(rows: Sequence[Mapping[str, str]], heads: Mapping[str, str], text_c
         blocks[-1].append(name)
     lines: list[str] = []
     for block in blocks:
-        left = set(names[:text_columns]) | (
-            {block[-1]} if len(names) == text_columns + 1 and _words(rows, block[-1]) else set()
-        )
+        left = set(names[:text_columns]) | {name for name in block if _words(rows, name)}
         lines += [""] * bool(lines) + _block(rows, titles, block, left, _widths(widest, least, block, width))
     return lines
 
