@@ -262,5 +262,5 @@ def obey(executor: Executor, task: Task, events: list[Event], store: Store) -> N
     kept = store.find(task.spec)
     assert kept is not None
     assert (future.result().spec, future.result().scores) == (kept.spec, kept.scores)
-    assert events == [Event(task.spec)]
+    assert events == [Event(task.spec, waits_for="compiling", begun=False), Event(task.spec)]
     until(lambda: executor.free == 1)

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from nnss_cli.commands.options import Out, with_output
+from nnss_cli.commands.options import Columns, Formats, Out
 
 
-@with_output
 def command(
     out: Out = Path("results"),
     times: Annotated[
@@ -19,6 +18,8 @@ def command(
             "--times/--no-times", help="Wall times in rmse.csv; without them two reproductions give equal files."
         ),
     ] = True,
+    formats: Formats = None,
+    columns: Columns = None,
 ) -> None:
     """Rebuild every table and figure from the runs on disk, without training, and write report.md.
 
@@ -28,12 +29,15 @@ def command(
     from nnss_cli.commands.events import emit
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_report
+    from nnss_cli.report.style import Look
+
+    look = Look(tuple(formats or ()), columns)
 
     if out.is_dir():
         require_writable(out)
     left_out: list[str] = []
     try:
-        written = write_report(out, times, left_out.append)
+        written = write_report(out, times, left_out.append, look)
         console.print(str(written), soft_wrap=True, highlight=False)
         emit("end", files=[str(written)], left_out=left_out)
     finally:

@@ -75,7 +75,9 @@ def executed(
         nonlocal told
         if event.epoch == 0 or time.monotonic() - told > CHATTER:
             told = time.monotonic()
-            content = {"label": event.spec.label, "epoch": event.epoch, "val_rmse": event.val_rmse}
+            told = ("epoch", "val_rmse", "waits_for", "begun")
+            content = {"label": event.spec.label} | {name: getattr(event, name) for name in told}
+            content |= {"waits_for": event.waits_for, "begun": event.begun}
             worker.log_event(topic, content)
 
     with _ONE, tempfile.TemporaryDirectory(prefix="nnss-") as folder:
