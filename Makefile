@@ -73,14 +73,14 @@ format: install ## Let ruff mend what it can
 METHODS := nnss nnss-ensemble nnss-paper simba n4sid ssest ssregest
 
 # Exit code 1: some runs have no result, which the tables count.
-reproduce: install ## The paper's study and ours, ending in results/report.md: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
+reproduce: install ## The paper's study and ours, ending in results/report.md and report.html: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
 	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	for dataset in twotank daisy-powerplant robotarm; do \
 	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || [ $$? = 1 ] || exit; \
 	done
-	$(NNSS) report --no-times --out $(OUT)
+	$(NNSS) report --no-times --html --out $(OUT)
 
 studies: install ## Ablations and the price of stability, to be followed by `make reproduce` for the report
 	for dataset in twotank daisy-powerplant robotarm; do for study in recipe class stability; do \

@@ -19,6 +19,9 @@ def command(
             "--times/--no-times", help="Wall times in rmse.csv; without them two reproductions give equal files."
         ),
     ] = True,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write report.html too: one page, to be opened without network.")
+    ] = False,
 ) -> None:
     """Rebuild every table and figure from the runs on disk, without training, and write report.md.
 
@@ -33,9 +36,14 @@ def command(
         require_writable(out)
     left_out: list[str] = []
     try:
-        written = write_report(out, times, left_out.append)
-        console.print(str(written), soft_wrap=True, highlight=False)
-        emit("end", files=[str(written)], left_out=left_out)
+        written = [write_report(out, times, left_out.append)]
+        if html:
+            from nnss_cli.report.html.page import write_html
+
+            written.append(write_html(out))
+        for path in written:
+            console.print(str(path), soft_wrap=True, highlight=False)
+        emit("end", files=[str(path) for path in written], left_out=left_out)
     finally:
         tell_left_out(left_out)
     if left_out:

@@ -29,19 +29,29 @@ OTHERWISE = {
 
 
 def published_comparison(results: Sequence[RunResult]) -> str:
+    """`published_tables` as Markdown ("" where there are none)."""
+    tables, notes = published_tables(results)
+    parts = [f"{title}:\n\n{markdown(_ours_in_bold(rows))}" for title, rows in tables]
+    return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
+
+
+def published_tables(results: Sequence[RunResult]) -> tuple[list[tuple[str, list[dict[str, str]]]], list[str]]:
     """A table for each test set: the published errors, and each of our methods at the order that validates best.
 
-    Ours are medians over seeds with their intervals; a run without a result counts as ∞. "" where nothing is published
-    for the dataset, or the protocol is not the official one.
+    Ours are medians over seeds with their intervals; a run without a result counts as ∞. None where nothing is
+    published for the dataset, or the protocol is not the official one.
+
+    Returns:
+        Title and rows of each table, and the notes that the sources of the rows refer to.
     """
     first = results[0].spec
     known = published_table()
     known = known[known["dataset"] == first.dataset]
     if known.empty or first.protocol != "official":
-        return ""
+        return [], []
     orders = _orders(results)
     sources: dict[str, int] = {}
-    parts = []
+    tables = []
     for split in test_sets(results):
         rows = []
         for row in known[known["test_set"] == split].itertuples():
@@ -57,7 +67,7 @@ def published_comparison(results: Sequence[RunResult]) -> str:
             median, bounds = quantile(errors, 0.5), median_interval(errors)
             interval = f"{number(bounds.low)}–{number(bounds.high)}" if bounds.coverage else "–"
             ok = sum(map(math.isfinite, errors))
-            name = f"**{method}, order {order}**"
+            name = f"{method}, order {order}"
             rows.append(
                 (
                     median,
@@ -66,12 +76,21 @@ def published_comparison(results: Sequence[RunResult]) -> str:
             )
         rows.sort(key=lambda row: row[0])
         table = [{"place": str(place), **row} for place, (_, row) in enumerate(rows, 1)]
-        parts.append(f"{split_name(split).capitalize()}, {unit.iloc[0]}:\n\n{markdown(table)}")
+        tables.append((f"{split_name(split).capitalize()}, {unit.iloc[0]}", table))
     notes = [
         f"[{note}] {source}" + (f": {OTHERWISE[source]}" if source in OTHERWISE else "")
         for source, note in sources.items()
     ]
-    return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
+    return tables, notes
+
+
+def is_ours(row: dict[str, str]) -> bool:
+    """Whether a row of a published table is of our own runs."""
+    return not row["source"].startswith("[")
+
+
+def _ours_in_bold(rows: Sequence[dict[str, str]]) -> list[dict[str, str]]:
+    return [row | {"method": f"**{row['method']}**"} if is_ours(row) else row for row in rows]
 
 
 def _orders(results: Sequence[RunResult]) -> dict[str, tuple[int, list[RunResult]]]:
