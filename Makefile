@@ -13,10 +13,11 @@ SEEDS ?= 10
 OUT ?= results
 ARGS ?=
 MUTANTS ?= 200
+PAGE ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow soak mutants lint format docs reproduce studies benchmarks bench clean
+.PHONY: help install demo testdata test test-slow test-page soak mutants lint format docs reproduce studies benchmarks bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -47,6 +48,12 @@ test: install testdata ## Run the tests (slow ones are left out)
 
 test-slow: install testdata ## Run the slow tests too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
+
+# Its browser comes from the npm registry, or is the one that NNSS_BROWSER names. PAGE=results/report.html: that page.
+test-page: install ## The tests of the HTML report in a headless browser: PAGE=FILE for a page of one's own
+	@$(PIP) --editable '.[tune,certify,test,lint,browser]'
+	@$(BIN)/python tests/browser/fetch.py .browser
+	NNSS_BROWSER_REQUIRED=1 NNSS_PAGE=$(abspath $(PAGE)) $(BIN)/python -m pytest -q tests/browser
 
 # Not part of the tests: an hour or two.
 soak: install ## Kill and interrupt sweeps at random and in each phase; figures in docs/reliability.md: ARGS='--times 5'

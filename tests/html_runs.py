@@ -23,7 +23,7 @@ def make_runs(
     orders: tuple[int, ...] = (2, 3),
     seeds: int = 7,
     text: str = "",
-    K: int = 400,
+    K: int = 150,
     protocol: str = "strict",
     outputs: int = 1,
 ) -> Store:

@@ -44,7 +44,8 @@ def curves_of(store: Store, results: Sequence[RunResult], looks: dict[str, Look]
         for name, what in CURVES.items():
             lines = {seed: history[name] for seed, history in histories.items() if len(history.get(name, ())) > 1}
             if any(math.isfinite(value) and value > 0 for line in lines.values() for value in line):
-                title = f"{what.capitalize()} of {looks[method].label}, n = {order}, {len(lines)} seeds"
+                seeds = f"{len(lines)} seed{'s' * (len(lines) > 1)}"
+                title = f"{what[0].upper()}{what[1:]} of {looks[method].label}, n = {order}, {seeds}"
                 place = f"{anchor}-curve-{looks[method].key}-{order}-{len(pictures)}"
                 pictures.append(draw_curves(place, title, what, looks[method], order, lines))
         if pictures:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +67,7 @@ def draw_boxes(name: str, title: str, axis_title: str, values: Mapping[Look, Map
         name: unique on the page.
         title: what it shows.
         axis_title: of the vertical axis.
-        values: method → order → error of each seed; ∞, which is not drawn, for a run without a result.
+        values: method → order → error of each seed; ∞, at the top, for a run without a result.
     """
     orders = sorted({order for by_order in values.values() for order in by_order})
     width = LEFT + RIGHT + SLOT * (len(values) + 1) * len(orders)
@@ -75,7 +75,7 @@ def draw_boxes(name: str, title: str, axis_title: str, values: Mapping[Look, Map
     axis = axis_of([v for by_order in values.values() for sample in by_order.values() for v in sample], True)
 
     def y(value: float) -> float:
-        return bottom - float(axis(value)) * (bottom - TOP)
+        return TOP if math.isinf(value) else bottom - float(axis(value)) * (bottom - TOP)
 
     parts = _frame(axis, width, bottom, axis_title)
     for position, order in enumerate(orders):
@@ -85,9 +85,8 @@ def draw_boxes(name: str, title: str, axis_title: str, values: Mapping[Look, Map
             parts.append(tag("line", x1=start, x2=start, y1=TOP, y2=bottom, class_="grid"))
         parts.append(tag("text", order, x=f"{middle:g}", y=bottom + 15, text_anchor="middle"))
         for index, (look, by_order) in enumerate(values.items()):
-            sample = [value for value in by_order.get(order, ()) if math.isfinite(value)]
-            if sample:
-                parts.append(_box(look, order, start + SLOT * (index + 1), sample, len(by_order[order]), y))
+            if any(map(math.isfinite, by_order.get(order, ()))):
+                parts.append(_box(look, order, start + SLOT * (index + 1), by_order[order], y))
     parts.append(
         tag("text", "order n", x=f"{(LEFT + width - RIGHT) / 2:g}", y=HEIGHT - 8, text_anchor="middle", class_="soft")
     )
@@ -95,19 +94,21 @@ def draw_boxes(name: str, title: str, axis_title: str, values: Mapping[Look, Map
     return Picture(title, _picture(name, title, words, width, HEIGHT, parts))
 
 
-def _box(look: Look, order: int, x: float, sample: Sequence[float], runs: int, y) -> Markup:  # type: ignore[no-untyped-def]
+def _box(look: Look, order: int, x: float, sample: Sequence[float], y: Callable[[float], float]) -> Markup:
+    """As in the table, a run without a result is ∞, at the top of the picture."""
     q1, median, q3 = (quantile(sample, q) for q in (0.25, 0.5, 0.75))
     low, high = min(sample), max(sample)
     said = f"{look.label}, n = {order}: median {number(median)}"
     if len(sample) > 1:
         said += f", quartiles {number(q1)} to {number(q3)}, range {number(low)} to {number(high)}"
-    said += f", {len(sample)} of {runs} runs"
+    said += f", {sum(map(math.isfinite, sample))} of {len(sample)} runs"
     parts = [tag("title", said)]
     if len(sample) > 1:
+        height = max(y(q1) - y(q3), 0.5)
         parts += [
             tag("line", x1=x, x2=x, y1=f"{y(low):.1f}", y2=f"{y(high):.1f}", class_="whisker"),
-            tag("rect", x=x - 5.5, width=11, y=f"{y(q3):.1f}", height=f"{max(y(q1) - y(q3), 0.5):.1f}", class_="box"),
-            tag("path", d="".join(f"M{x} {y(value):.1f}h0" for value in sample), class_="seed"),
+            tag("rect", x=x - 5.5, width=11, y=f"{y(q3):.1f}", height=f"{height:.1f}", class_="box"),
+            tag("path", d="".join(f"M{x} {y(v):.1f}h0" for v in sample if math.isfinite(v)), class_="seed"),
         ]
     parts.append(glyph(look, x, y(median)))
     return tag("g", *parts, class_=f"k{look.key}", data_method=look.key, data_order=order)

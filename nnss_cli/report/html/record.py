@@ -242,7 +242,9 @@ def _boxes(results: Sequence[RunResult], looks: dict[str, Look], anchor: str) ->
                         by_order = values.setdefault(looks[method], {})
                         by_order.setdefault(result.spec.order, []).append(error_of(result, split, output))
             if any(math.isfinite(v) for by_order in values.values() for own in by_order.values() for v in own):
-                title = f"{split_name(split).capitalize()} error over seeds, by order and method: {name}"
+                title = f"Error over seeds on {split_name(split)}, by order and method: {name}"
+                if any(math.isinf(v) for by_order in values.values() for own in by_order.values() for v in own):
+                    title += "; a run without a result stands at the top"
                 pictures.append(draw_boxes(f"{anchor}-box-{i}-{j}", title, f"RMSE, {name}", values))
     return pictures
 

@@ -326,6 +326,12 @@
   const traces = all("figure.trace").map((figure) => new Trace(figure));
   document.addEventListener("change", () => traces.forEach((one) => one.show(one.from, one.to)));
 
+  // Only what can be scrolled is a stop for the keyboard.
+  const stops = () => all(".scroll").forEach((one) => { one.tabIndex = one.scrollWidth > one.clientWidth ? 0 : -1; });
+  window.addEventListener("resize", stops);
+  document.addEventListener("toggle", stops, true);
+  stops();
+
   // What is folded is printed too, and folded again afterwards.
   let unfolded = [];
   window.addEventListener("beforeprint", () => {
