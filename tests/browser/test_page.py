@@ -98,13 +98,20 @@ def test_tables_sort_by_any_column(results: Path, visit: Callable) -> None:
     assert [name.strip() for name in shown] == sorted(name.strip() for name in shown)
 
 
+def live(figure: Any) -> Any:
+    """A figure that was scrolled to: only then does the script take it up."""
+    figure.scroll_into_view_if_needed()
+    figure.locator(".frame[tabindex]").wait_for()
+    return figure
+
+
 def ticks(figure: Any) -> list[float]:
     return [float(text) for text in figure.locator(".xs span").all_inner_texts()]
 
 
 def test_a_simulation_zooms_and_tells_its_values(results: Path, visit: Callable) -> None:
     page = visit(results / "report.html").page
-    figure = page.locator("section.record", has_text="two, protocol paper").locator("figure.trace").first
+    figure = live(page.locator("section.record", has_text="two, protocol paper").locator("figure.trace").first)
     plot = figure.locator(".plot").first
     plot.scroll_into_view_if_needed()
     whole, line = ticks(figure), plot.locator("path.line").first
@@ -136,7 +143,7 @@ def test_a_simulation_zooms_and_tells_its_values(results: Path, visit: Callable)
 
 def test_a_simulation_is_read_by_the_keyboard(results: Path, visit: Callable) -> None:
     page = visit(results / "report.html").page
-    figure = page.locator("section.record", has_text="dense, protocol strict").locator("figure.trace").first
+    figure = live(page.locator("section.record", has_text="dense, protocol strict").locator("figure.trace").first)
     frame = figure.locator(".frame").first
     frame.focus()
     assert frame.evaluate("e => getComputedStyle(e).outlineStyle") == "solid"
@@ -210,7 +217,7 @@ def test_names_from_files_do_nothing(visit: Callable, tmp_path: Path) -> None:
 
     make_runs(tmp_path, HOSTILE_FOLDER, ("nnss", "n4sid", HOSTILE_FOLDER), seeds=2, text=HOSTILE)
     opened = visit(write_html(tmp_path))
-    figure = opened.page.locator("figure.trace").first
+    figure = live(opened.page.locator("figure.trace").first)
     figure.locator(".frame").first.focus()
     opened.page.keyboard.press("ArrowRight")
     assert HOSTILE in figure.locator("output").inner_text()  # the script writes names, too

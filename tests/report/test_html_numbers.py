@@ -166,7 +166,7 @@ def is_found(token: str, numbers: np.ndarray) -> bool:
 def missing(out: Path) -> list[str]:
     numbers, texts = expected(out)
     page = write_html(out).read_text(encoding="utf-8")
-    verdict = re.findall(r'<ul class="verdict">(.*?)</ul>', page, re.DOTALL)
+    verdict = re.findall(r'<ul class="verdict">(.*?)<p>', page, re.DOTALL)
     boxes = re.findall(r"<title>(.*?: median .*?)</title>", page)
     assert verdict
     assert boxes

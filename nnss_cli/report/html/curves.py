@@ -40,7 +40,7 @@ def curves_of(store: Store, results: Sequence[RunResult], looks: dict[str, Look]
         runs_by_method(results).items(), key=lambda item: (position.index(item[0][0]), item[0][1])
     ):
         histories = {r.spec.seed: history_of(store, r) for r in own if r.epochs}
-        pictures = []
+        pictures: list[Picture] = []
         for name, what in CURVES.items():
             lines = {seed: history[name] for seed, history in histories.items() if len(history.get(name, ())) > 1}
             if any(math.isfinite(value) and value > 0 for line in lines.values() for value in line):

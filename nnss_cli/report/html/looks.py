@@ -38,7 +38,7 @@ DECORATION: dict[str, tuple[str, str]] = {"grid": ("#dde2e7", "#333b44")}
 SHAPES = {
     "circle": "M5 1a4 4 0 1 0 0 8a4 4 0 1 0 0-8z",
     "cross": "M2 0.5L5 3.5L8 0.5L9.5 2L6.5 5L9.5 8L8 9.5L5 6.5L2 9.5L0.5 8L3.5 5L0.5 2z",
-    "hexagon": "M5 0.7L8.8 2.9V7.1L5 9.3L1.2 7.1V2.9z",
+    "ring": "M5 0.5a4.5 4.5 0 1 0 0 9a4.5 4.5 0 1 0 0-9zM5 3a2 2 0 1 1 0 4a2 2 0 1 1 0-4z",
     "square": "M1.3 1.3H8.7V8.7H1.3z",
     "diamond": "M5 0.2L9.4 5L5 9.8L0.6 5z",
     "triangle": "M5 0.8L9.5 9H0.5z",
@@ -72,7 +72,7 @@ class Look:
 KNOWN: dict[str, tuple[tuple[str, str], str, str]] = {
     "nnss": (("#0060a8", "#5ab0f0"), "", "circle"),
     "nnss-ensemble": (("#101418", "#f2f5f8"), "14 3", "cross"),
-    "nnss-paper": (("#3a86b8", "#9cd2f5"), "2 2", "hexagon"),
+    "nnss-paper": (("#3a86b8", "#9cd2f5"), "2 2", "star"),
     "simba": (("#a86a00", "#f0b429"), "8 3", "square"),
     "n4sid": (("#c04a00", "#ff8f52"), "6 2 1.5 2", "diamond"),
     "ssest": (("#007a58", "#3cc79a"), "1.5 2", "triangle"),
@@ -82,7 +82,7 @@ KNOWN: dict[str, tuple[tuple[str, str], str, str]] = {
 
 OTHERS: tuple[tuple[tuple[str, str], str, str], ...] = (
     (("#6b6b00", "#c9c75a"), "10 2 2 2", "plus"),
-    (("#7a4a2b", "#d8a47f"), "4 4", "star"),
+    (("#7a4a2b", "#d8a47f"), "4 4", "ring"),
     (("#5b4fc4", "#b0a8ff"), "12 2 2 2 2 2", "bar"),
     (("#5c6670", "#b9c2cb"), "3 1", "beam"),
 )

@@ -106,7 +106,8 @@ def standings(results: Sequence[RunResult], split: str, looks: dict[str, Look]) 
             continue
         ranked = sorted(alone, key=lambda m: (fails_too_often(alone[m]), quantile(alone[m], 0.5)))
         sound = [method for method in ranked if not fails_too_often(alone[method])]
-        beaten, undecided = [], []
+        beaten: list[str] = []
+        undecided: list[str] = []
         first, *others = sound or ranked[:1]
         for other in others:
             bounds = _bounds(first, other, alone)

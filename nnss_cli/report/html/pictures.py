@@ -141,12 +141,13 @@ def draw_curves(
         parts.append(tag("text", tick.label, x=f"{at:.1f}", y=bottom + 15, text_anchor="middle"))
     parts.append(tag("text", "epoch", x=(LEFT + right) / 2, y=CURVE_HEIGHT - 8, text_anchor="middle", class_="soft"))
     for seed, values in finite.items():
-        at, shown = few(np.where(values > 0, values, np.nan), CURVE_BINS) if np.isfinite(values).all() else (
-            np.arange(len(values), dtype=float), values
-        )  # fmt: skip
+        if np.isfinite(values).all():
+            where, shown = few(values, CURVE_BINS)
+        else:
+            where, shown = np.arange(len(values), dtype=float), values
         lowest = int(np.nanargmin(values)) if np.isfinite(values).any() else 0
         said = f"seed {seed}: {len(values)} epochs, lowest {number(float(values[lowest]))} at epoch {lowest + 1}"
-        line = path(epochs(at + 1), axis(shown), place)
+        line = path(epochs(where + 1), axis(shown), place)
         parts.append(tag("path", tag("title", said), d=line, transform="scale(0.1)", class_=f"k{look.key} curve"))
     words = f"{len(finite)} seeds; " + "; ".join(
         f"seed {seed} ends after {len(own)} epochs at {number(float(own[-1]))}" for seed, own in finite.items()

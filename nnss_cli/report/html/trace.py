@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -140,7 +141,7 @@ def _packed(one: Series, thinned: bool) -> dict[str, Any]:
         low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
         values = np.stack([low, high], axis=1).ravel()
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    scale = STEPS / (high - low) if high > low else 0.0
-    steps = [round((float(value) - low) * scale) if np.isfinite(value) else None for value in values]
-    return {"name": one.name, "low": low, "high": high, "held": one.held, "values": steps}
+    least, most = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    scale = STEPS / (most - least) if most > least else 0.0
+    steps = [round((value - least) * scale) if math.isfinite(value) else None for value in values.tolist()]
+    return {"name": one.name, "low": least, "high": most, "held": one.held, "values": steps}

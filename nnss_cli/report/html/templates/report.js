@@ -323,14 +323,21 @@
       }));
     }
   }
-  const traces = all("figure.trace").map((figure) => new Trace(figure));
+  // A figure comes to life when it is about to be seen: until then it is as it was drawn.
+  const traces = [];
+  const near = new IntersectionObserver((seen) => seen.forEach((one) => {
+    if (!one.isIntersecting) return;
+    near.unobserve(one.target);
+    traces.push(new Trace(one.target));
+  }), { rootMargin: "600px" });
+  all("figure.trace").forEach((figure) => near.observe(figure));
   document.addEventListener("change", () => traces.forEach((one) => one.show(one.from, one.to)));
 
   // Only what can be scrolled is a stop for the keyboard.
   const stops = () => all(".scroll").forEach((one) => { one.tabIndex = one.scrollWidth > one.clientWidth ? 0 : -1; });
   window.addEventListener("resize", stops);
   document.addEventListener("toggle", stops, true);
-  stops();
+  requestIdleCallback(stops);
 
   // What is folded is printed too, and folded again afterwards.
   let unfolded = [];
