@@ -74,7 +74,7 @@ KNOWN: dict[str, tuple[tuple[str, str], str, str]] = {
     "nnss-ensemble": (("#101418", "#f2f5f8"), "14 3", "cross"),
     "nnss-paper": (("#3a86b8", "#9cd2f5"), "2 2", "star"),
     "simba": (("#a86a00", "#f0b429"), "8 3", "square"),
-    "n4sid": (("#c04a00", "#ff8f52"), "6 2 1.5 2", "diamond"),
+    "n4sid": (("#b03a00", "#ff8f52"), "6 2 1.5 2", "diamond"),
     "ssest": (("#007a58", "#3cc79a"), "1.5 2", "triangle"),
     "ssregest": (("#a8487f", "#e9a2cb"), "5 2 1.5 2 1.5 2", "wedge"),
 }
