@@ -53,7 +53,7 @@ test-slow: install testdata ## Run the slow tests too
 test-page: install ## The tests of the HTML report in a headless browser: PAGE=FILE for a page of one's own
 	@$(PIP) --editable '.[tune,certify,test,lint,browser]'
 	@$(BIN)/python tests/browser/fetch.py .browser
-	NNSS_BROWSER_REQUIRED=1 NNSS_PAGE=$(abspath $(PAGE)) $(BIN)/python -m pytest -q tests/browser
+	NNSS_BROWSER_REQUIRED=1 NNSS_PAGE=$(abspath $(PAGE)) $(BIN)/python -m pytest -q tests/browser tests/report/test_html_numbers.py
 
 # Not part of the tests: an hour or two.
 soak: install ## Kill and interrupt sweeps at random and in each phase; figures in docs/reliability.md: ARGS='--times 5'

@@ -72,7 +72,7 @@ def _of_model(description: dict[str, Any], tensors: Tensors) -> tuple[str, float
         return promise, -math.inf
     A = tensors.get("A")
     if description.get("kind") == "linear" and A is not None and A.ndim == 2 and A.shape[0] == A.shape[1]:
-        return "nothing: A is what it is", float(np.abs(np.linalg.eigvals(A)).max())
+        return "nothing; its A is fixed, so ρ(A) decides", float(np.abs(np.linalg.eigvals(A)).max())
     return "not known: no model is kept" if not description else "not known of this kind of model", -math.inf
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,10 @@ OF_A_RUN = ("command", "started", "finished", "seconds", "peak memory [MB]")
 """What every run has a value of its own for."""
 
 
+OUT = re.compile(r"--out[= ]('[^']*'|\S+)")
+"""The results folder of a command line, quoted as it is there."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """What is known of how a folder's runs were made."""
@@ -27,7 +32,7 @@ class Origin:
     settings: list[dict[str, str]]
     """Options of each method, with the orders that have them."""
     commands: list[str]
-    """Command lines that made runs of this folder, as they were kept."""
+    """Command lines that made runs of this folder, as they were kept, and the one that makes the page anew."""
     commits: list[str]
     """Commits that made them."""
     dirty: bool
@@ -39,9 +44,21 @@ def origin_of(results: Sequence[RunResult]) -> Origin:
     commits = list(dict.fromkeys(r.provenance["commit"] for r in results if r.provenance.get("commit")))
     return Origin(
         _facts(results), _costs(results), _settings(results),
-        list(dict.fromkeys(r.provenance["command"] for r in results if r.provenance.get("command"))),
+        _commands(results),
         commits, any(commit.endswith("-dirty") for commit in commits),
     )  # fmt: skip
+
+
+def _commands(results: Sequence[RunResult]) -> list[str]:
+    made = list(dict.fromkeys(r.provenance["command"] for r in results if r.provenance.get("command")))
+    if not made:
+        return []
+    folders = {folder for line in made for folder in OUT.findall(line)} or {"results"}
+    again = "nnss report --html"
+    return [
+        *made,
+        again if folders == {"results"} else f"{again} --out {folders.pop()}" if len(folders) == 1 else again,
+    ]
 
 
 def _facts(results: Sequence[RunResult]) -> list[dict[str, str]]:
