@@ -84,13 +84,8 @@ def published_tables(results: Sequence[RunResult]) -> tuple[list[tuple[str, list
     return tables, notes
 
 
-def is_ours(row: dict[str, str]) -> bool:
-    """Whether a row of a published table is of our own runs."""
-    return not row["source"].startswith("[")
-
-
 def _ours_in_bold(rows: Sequence[dict[str, str]]) -> list[dict[str, str]]:
-    return [row | {"method": f"**{row['method']}**"} if is_ours(row) else row for row in rows]
+    return [row if row["source"].startswith("[") else row | {"method": f"**{row['method']}**"} for row in rows]
 
 
 def _orders(results: Sequence[RunResult]) -> dict[str, tuple[int, list[RunResult]]]:

@@ -150,7 +150,13 @@ def test_a_simulation_is_read_by_the_keyboard(results: Path, visit: Callable) ->
     page.keyboard.press("Home")
     page.keyboard.press("ArrowRight")
     told = figure.locator("output").inner_text()
-    assert re.search(r"measured -?[\d.]+ to -?[\d.]+", told)  # smallest and largest of an interval
+    sample = round(float(re.search(r"time ([\d.]+) s", told)[1]) / 0.2)
+    signals = load_file(results / "dense" / "strict" / "runs" / "n4sid-n3-s0" / "signals.safetensors")
+    edges = np.linspace(0, 20_000, 1501).astype(int)
+    index = int(np.searchsorted(edges, sample, side="right"))
+    ends = re.search(r"N4SID, n = 3 (-?[\d.]+) to (-?[\d.]+)", told).groups()
+    around = signals["test/0/y_sim"][edges[index - 1] : edges[index], 0]
+    assert [float(end) for end in ends] == pytest.approx([around.min(), around.max()], abs=1e-3)
     for _ in range(4):
         page.keyboard.press("+")
     assert ticks(figure)[-1] < whole[-1] / 8

@@ -17,11 +17,11 @@ from nnss_cli.report.aggregate import (
     methods_of,
     physical_error,
     runs_by_method,
+    scored_splits,
     several_outputs,
     split_error,
     split_name,
     splits_of,
-    test_sets,
 )
 from nnss_cli.report.evidence import not_the_papers, optimism_rows, paper_rows, released_rows
 from nnss_cli.report.html.candidates import candidate_rows
@@ -110,8 +110,8 @@ class Section:
     """Of its models."""
     splits: list[tuple[str, str]]
     """Name of each split and what it is called."""
-    first_split: str
-    """The one that the table begins with."""
+    shown: list[str]
+    """Those that the table begins with: the test sets, validation where there is none."""
     rows: list[Row]
     """Of the table of errors."""
     boxes: list[Picture]
@@ -160,7 +160,7 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
     return Section(
         anchor, store.dataset, store.protocol, f"{entry.title}. Source: {entry.citation}." if entry else "",
         len(results), [looks[name] for name in methods_of(results)], sorted({r.spec.order for r in results}),
-        [(name, split_name(name)) for name in splits], next(iter([*test_sets(results), "val"])),
+        [(name, split_name(name)) for name in splits], scored_splits(results),
         _rows(results, looks), _boxes(results, looks, anchor), simulation_traces(store, results, looks, anchor),
         state_trace(store, results, looks, anchor), curves_of(store, results, looks, anchor),
         candidate_rows(store, results), certificate_table(store, results), _references(results),
@@ -231,7 +231,7 @@ def _finite(value: float) -> float:
 
 def _boxes(results: Sequence[RunResult], looks: dict[str, Look], anchor: str) -> list[Picture]:
     pictures = []
-    for i, split in enumerate(test_sets(results) or ["val"]):
+    for i, split in enumerate(scored_splits(results)):
         for j, (output, name) in enumerate(outputs_of(results).items()):
             if output in (MEAN, NORMALISED):
                 continue

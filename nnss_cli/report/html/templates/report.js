@@ -64,9 +64,6 @@
   for (const section of all("section.record")) {
     const form = section.querySelector("form.filters");
     const boxes = all("input", form);
-    const first = section.dataset.first;
-    if (boxes.some((box) => box.name === "split" && box.value === first))
-      boxes.forEach((box) => { if (box.name === "split") box.checked = box.value === first; });
     const apply = () => {
       const wanted = { method: new Set(), order: new Set(), split: new Set() };
       boxes.forEach((box) => { if (box.checked) wanted[box.name].add(box.value); });
