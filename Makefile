@@ -13,10 +13,11 @@ SEEDS ?= 10
 OUT ?= results
 ARGS ?=
 MUTANTS ?= 200
+PAGE ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow soak mutants lint format docs reproduce studies benchmarks bench clean
+.PHONY: help install demo testdata test test-slow test-page soak mutants lint format docs reproduce studies benchmarks bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -48,6 +49,12 @@ test: install testdata ## Run the tests (slow ones are left out)
 test-slow: install testdata ## Run the slow tests too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
 
+# Its browser comes from the npm registry, or is the one that NNSS_BROWSER names. PAGE=results/report.html: that page.
+test-page: install ## The tests of the HTML report in a headless browser: PAGE=FILE for a page of one's own
+	@$(PIP) --editable '.[tune,certify,test,lint,browser]'
+	@$(BIN)/python tests/browser/fetch.py .browser
+	NNSS_BROWSER_REQUIRED=1 NNSS_PAGE=$(abspath $(PAGE)) $(BIN)/python -m pytest -q tests/browser tests/report/test_html_numbers.py
+
 # Not part of the tests: an hour or two.
 soak: install ## Kill and interrupt sweeps at random and in each phase; figures in docs/reliability.md: ARGS='--times 5'
 	$(BIN)/python tests/soak.py $(ARGS)
@@ -73,14 +80,14 @@ format: install ## Let ruff mend what it can
 METHODS := nnss nnss-ensemble nnss-paper simba n4sid ssest ssregest
 
 # Exit code 1: some runs have no result, which the tables count.
-reproduce: install ## The paper's study and ours, ending in results/report.md: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
+reproduce: install ## The paper's study and ours, ending in results/report.md and report.html: SEEDS=10, or small with SEEDS=1 ARGS='--epochs 5'
 	$(NNSS) compare twotank --orders 2 3 4 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	$(NNSS) compare daisy-powerplant --orders 3 4 5 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	$(NNSS) compare robotarm --orders 4 5 6 --seeds $(SEEDS) --methods $(METHODS) --out $(OUT) $(ARGS) || [ $$? = 1 ]
 	for dataset in twotank daisy-powerplant robotarm; do \
 	  $(NNSS) compare $$dataset --protocol strict --seeds $(SEEDS) --out $(OUT) $(ARGS) || [ $$? = 1 ] || exit; \
 	done
-	$(NNSS) report --no-times --out $(OUT)
+	$(NNSS) report --no-times --html --out $(OUT)
 
 studies: install ## Ablations and the price of stability, to be followed by `make reproduce` for the report
 	for dataset in twotank daisy-powerplant robotarm; do for study in recipe class stability; do \

@@ -152,6 +152,8 @@ def test_wheel_installs_only_the_package(tmp_path: Path) -> None:
         assert inside in built, inside
     assert "nnss_cli/report/paper_tables.csv" in names
     assert "nnss_cli/py.typed" in names
+    templates = {path.name for path in (ROOT / "nnss_cli" / "report" / "html" / "templates").iterdir()}
+    assert {f"nnss_cli/report/html/templates/{name}" for name in templates} <= set(names)
 
 
 def test_dataclasses_are_frozen() -> None:

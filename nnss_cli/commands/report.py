@@ -20,6 +20,9 @@ def command(
     ] = True,
     formats: Formats = None,
     columns: Columns = None,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write report.html too: one page, to be opened without network.")
+    ] = False,
 ) -> None:
     """Rebuild every table and figure from the runs on disk, without training, and write report.md.
 
@@ -37,9 +40,14 @@ def command(
         require_writable(out)
     left_out: list[str] = []
     try:
-        written = write_report(out, times, left_out.append, look)
-        console.print(str(written), soft_wrap=True, highlight=False)
-        emit("end", files=[str(written)], left_out=left_out)
+        written = [write_report(out, times, left_out.append, look)]
+        if html:
+            from nnss_cli.report.html.page import write_html
+
+            written.append(write_html(out))
+        for path in written:
+            console.print(str(path), soft_wrap=True, highlight=False)
+        emit("end", files=[str(path) for path in written], left_out=left_out)
     finally:
         tell_left_out(left_out)
     if left_out:

@@ -75,8 +75,7 @@ def executed(
         nonlocal told
         if event.epoch == 0 or time.monotonic() - told > CHATTER:
             told = time.monotonic()
-            told = ("epoch", "val_rmse", "waits_for", "begun")
-            content = {"label": event.spec.label} | {name: getattr(event, name) for name in told}
+            content = {"label": event.spec.label, "epoch": event.epoch, "val_rmse": event.val_rmse}
             content |= {"waits_for": event.waits_for, "begun": event.begun}
             worker.log_event(topic, content)
 

@@ -83,7 +83,13 @@ def not_the_papers(results: Sequence[RunResult]) -> list[str]:
 
 
 def paper_comparison(results: Sequence[RunResult]) -> str:
-    """The paper's printed values beside ours, a verdict per cell ("" where the paper prints none for these runs).
+    """`paper_rows` as Markdown ("" where there are none)."""
+    rows = paper_rows(results)
+    return markdown(rows) if rows else ""
+
+
+def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
+    """The paper's printed values beside ours, a verdict per cell; none where the paper prints none for these runs.
 
     Only what was run has a row.
 
@@ -95,7 +101,7 @@ def paper_comparison(results: Sequence[RunResult]) -> str:
     faithful = as_in_the_paper(results)
     ours = summary(faithful)
     if printed.empty or ours.empty or first.protocol != "paper":
-        return ""
+        return []
     lucky = _chosen_on_test(faithful)
     merged = printed.merge(ours, how="left", on=["order", "method", "output", "split"])
     merged = merged.merge(lucky, how="left", on=["order", "method", "output", "split"])
@@ -112,11 +118,17 @@ def paper_comparison(results: Sequence[RunResult]) -> str:
                 "ours: median": number(row.median), "ours: best by validation": number(row.best),
             }
         )  # fmt: skip
-    return markdown(rows) if rows else ""
+    return rows
 
 
 def released_comparison(results: Sequence[RunResult]) -> str:
-    """Medians over seeds beside those of the models that the authors released ("" where there are none).
+    """`released_rows` as Markdown ("" where there are none)."""
+    rows = released_rows(results)
+    return markdown(rows) if rows else ""
+
+
+def released_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
+    """Medians over seeds beside those of the models that the authors released; none where there are none.
 
     Both medians have a spread: ours from the order statistics of the seeds, theirs from their quartiles.
     """
@@ -124,7 +136,7 @@ def released_comparison(results: Sequence[RunResult]) -> str:
     released = released_table()
     released = released[released["dataset"] == first.dataset]
     if released.empty or first.protocol != "paper":
-        return ""
+        return []
     runs = runs_by_method(as_in_the_paper(results))
     rows = []
     for row in released.itertuples():
@@ -146,11 +158,17 @@ def released_comparison(results: Sequence[RunResult]) -> str:
                 "intervals overlap": ("yes" if overlap else "no") if bounds.coverage else "–",
             }
         )  # fmt: skip
-    return markdown(rows) if rows else ""
+    return rows
 
 
 def optimism(results: Sequence[RunResult]) -> str:
-    """What choosing the best seed on test adds over choosing it on validation ("" without several seeds and a test).
+    """`optimism_rows` as Markdown ("" where there are none)."""
+    rows = optimism_rows(results)
+    return markdown(rows) if rows else ""
+
+
+def optimism_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
+    """What choosing the best seed on test adds over choosing it on validation; none without several seeds and a test.
 
     RMSE/σ, mean over outputs and test sets. A run without a result is never chosen.
     """
@@ -169,7 +187,7 @@ def optimism(results: Sequence[RunResult]) -> str:
                 "optimism": f"{100 * (1 - lucky / honest):.0f} %",
             }
         )  # fmt: skip
-    return markdown(rows) if rows else ""
+    return rows
 
 
 def intervals(results: Sequence[RunResult]) -> str:

@@ -85,7 +85,7 @@ def paper_places(results: Sequence[RunResult]) -> str:
                 if method in own:
                     rows.append(_ours(f"**{method}**", [_error(run, split, output) for run in own[method]]))
             what = "mean over outputs" if output == MEAN else names[output]
-            parts.append(f"Order {order}, {what}, {split_name(split)}:\n\n{_by_place(rows)}")
+            parts.append(f"Order {order}, {what}, {split_name(split)}:\n\n{markdown(_by_place(rows))}")
     lines = [f"[{note}] {source}: {PAPERS[source]}" for source, note in notes.items()]
     return "\n\n".join([*parts, "  \n".join(lines)]) if parts else ""
 
@@ -106,25 +106,35 @@ def _ours(name: str, errors: Sequence[float]) -> tuple[float, dict[str, str]]:
     return median, row
 
 
-def _by_place(rows: Sequence[tuple[float, dict[str, str]]]) -> str:
+def _by_place(rows: Sequence[tuple[float, dict[str, str]]]) -> list[dict[str, str]]:
     ordered = sorted(rows, key=lambda row: row[0])
-    return markdown([{"place": str(place), **row} for place, (_, row) in enumerate(ordered, 1)])
+    return [{"place": str(place), **row} for place, (_, row) in enumerate(ordered, 1)]
 
 
 def published_comparison(results: Sequence[RunResult]) -> str:
+    """`published_tables` as Markdown ("" where there are none)."""
+    tables, notes = published_tables(results)
+    parts = [f"{title}:\n\n{markdown(_ours_in_bold(rows))}" for title, rows in tables]
+    return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
+
+
+def published_tables(results: Sequence[RunResult]) -> tuple[list[tuple[str, list[dict[str, str]]]], list[str]]:
     """A table for each test set: the published errors, and each of our methods at the order that validates best.
 
-    Ours are medians over seeds with their intervals; a run without a result counts as ∞. "" where nothing is published
-    for the dataset, or the protocol is not the official one.
+    Ours are medians over seeds with their intervals; a run without a result counts as ∞. None where nothing is
+    published for the dataset, or the protocol is not the official one.
+
+    Returns:
+        Title and rows of each table, and the notes that the sources of the rows refer to.
     """
     first = results[0].spec
     known = published_table()
     known = known[known["dataset"] == first.dataset]
     if known.empty or first.protocol != "official":
-        return ""
+        return [], []
     orders = _orders(results)
     sources: dict[str, int] = {}
-    parts = []
+    tables = []
     for split in test_sets(results):
         rows = []
         for row in known[known["test_set"] == split].itertuples():
@@ -136,13 +146,17 @@ def published_comparison(results: Sequence[RunResult]) -> str:
         if not rows:
             continue
         for method, (order, own) in orders.items():
-            rows.append(_ours(f"**{method}, order {order}**", [physical_error(run, split) for run in own]))
-        parts.append(f"{split_name(split).capitalize()}, {unit.iloc[0]}:\n\n{_by_place(rows)}")
+            rows.append(_ours(f"{method}, order {order}", [physical_error(run, split) for run in own]))
+        tables.append((f"{split_name(split).capitalize()}, {unit.iloc[0]}", _by_place(rows)))
     notes = [
         f"[{note}] {source}" + (f": {OTHERWISE[source]}" if source in OTHERWISE else "")
         for source, note in sources.items()
     ]
-    return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
+    return tables, notes
+
+
+def _ours_in_bold(rows: Sequence[dict[str, str]]) -> list[dict[str, str]]:
+    return [row if row["source"].startswith("[") else row | {"method": f"**{row['method']}**"} for row in rows]
 
 
 def _orders(results: Sequence[RunResult]) -> dict[str, tuple[int, list[RunResult]]]:

@@ -57,12 +57,12 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
     if method not in names or not rivals:
         return ""
     rows = []
-    for (dataset, order, name), errors in _errors(results, split).items():
+    for (dataset, order, name), errors in errors_by_record(results, split).items():
         if method not in errors:
             continue
         own = errors[method]
         row = {
-            "dataset": _titled(dataset, name), "order": str(order), f"{method}: RMSE/σ": number(quantile(own, 0.5)),
+            "dataset": record_name(dataset, name), "order": str(order), f"{method}: RMSE/σ": number(quantile(own, 0.5)),
             "runs": f"{sum(map(math.isfinite, own))}/{len(own)}",
         }  # fmt: skip
         lower: list[str] = []
@@ -80,7 +80,7 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
                     for one in lost
                 )
             else:
-                bounds = ratio_interval(own, theirs, (not _seeded(method), not _seeded(rival)))
+                bounds = ratio_interval(own, theirs, (not is_seeded(method), not is_seeded(rival)))
                 coverage.append(bounds.coverage)
                 row[f"/ {rival}"] = f"{number(ratio(own, theirs), 3)}" + (
                     f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})" if bounds.coverage else ""
@@ -105,12 +105,12 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
 def combinations(results: Sequence[RunResult], split: str) -> str:
     """Combinations beside the median of the runs that they are made of, as Markdown ("" where there are none)."""
     rows = []
-    for (dataset, order, test), errors in _errors(results, split).items():
+    for (dataset, order, test), errors in errors_by_record(results, split).items():
         for name in filter(is_combination, errors):
             parts = errors.get(METHODS[name].members, [])
             rows.append(
                 {
-                    "dataset": _titled(dataset, test), "order": str(order), "method": name,
+                    "dataset": record_name(dataset, test), "order": str(order), "method": name,
                     "RMSE/σ": number(quantile(errors[name], 0.5)), "made of runs of": METHODS[name].members,
                     "their median": number(quantile(parts, 0.5)) if parts else "–",
                     "ratio": number(ratio(errors[name], parts), 3) if parts else "–",
@@ -137,7 +137,7 @@ def missing_runs(results: Sequence[RunResult]) -> list[str]:
         runs = runs_by_method(own)
         orders = sorted({order for _, order in runs})
         seeds = {r.spec.seed for r in own}
-        seeded = {method for (method, _), found in runs.items() if _seeded(method)}
+        seeded = {method for (method, _), found in runs.items() if is_seeded(method)}
         for method in methods_of(own):
             lacking = [order for order in orders if (method, order) not in runs]
             if lacking:
@@ -198,14 +198,6 @@ def record_table(results: Sequence[RunResult]) -> tuple[pd.DataFrame, list[str]]
 def ranking(table: pd.DataFrame, tests: Sequence[Comparison]) -> str:
     """Mean ranks and paired tests over records, as Markdown."""
     ranks = mean_ranks(table)
-    rows = [
-        {
-            "lower": t.first, "higher": t.second, "lower on": f"{t.wins} of {t.pairs} records",
-            "p (Wilcoxon)": number(t.p, 2), "p (Holm)": number(t.adjusted, 2),
-            "at 5 %": "differ" if t.differ else "not shown to differ",
-        }
-        for t in tests
-    ]  # fmt: skip
     lowest = smallest_adjusted(len(table), len(ranks))
     text = (
         f"Over {len(table)} records, each counted once (test; geometric mean over its orders of medians over seeds). "
@@ -216,7 +208,19 @@ def ranking(table: pd.DataFrame, tests: Sequence[Comparison]) -> str:
             f" So few records for {len(ranks)} methods cannot show any difference: "
             f"the smallest p that Holm's correction could give is {number(lowest, 2)}."
         )
-    return f"{text}\n\n{markdown(rows)}"
+    return f"{text}\n\n{markdown(pair_rows(tests))}"
+
+
+def pair_rows(tests: Sequence[Comparison]) -> list[dict[str, str]]:
+    """Paired tests over records as text."""
+    return [
+        {
+            "lower": t.first, "higher": t.second, "lower on": f"{t.wins} of {t.pairs} records",
+            "p (Wilcoxon)": number(t.p, 2), "p (Holm)": number(t.adjusted, 2),
+            "at 5 %": "differ" if t.differ else "not shown to differ",
+        }
+        for t in tests
+    ]  # fmt: skip
 
 
 def too_few(records: int) -> str:
@@ -239,7 +243,7 @@ def _by_dataset(results: Sequence[RunResult]) -> dict[str, list[RunResult]]:
     return found
 
 
-def _seeded(method: str) -> bool:
+def is_seeded(method: str) -> bool:
     """Whether runs differ by seed; of a method that is not installed here it is assumed."""
     return method not in METHODS or METHODS[method].seeded
 
@@ -253,7 +257,7 @@ def _names(results: Sequence[RunResult], split: str) -> list[str]:
     return test_sets(results) if split == "test" else [name for name in splits_of(results) if name == split]
 
 
-def _titled(dataset: str, split: str) -> str:
+def record_name(dataset: str, split: str) -> str:
     """A dataset, with its test set where that has a name of its own."""
     return dataset if split in ("test", *FITTED_ON) else f"{dataset}: {split}"
 
@@ -262,7 +266,7 @@ def _error(result: RunResult, measure: Callable[[RunResult], float]) -> float:
     return measure(result) if result.status == "ok" else math.inf
 
 
-def _errors(results: Sequence[RunResult], split: str) -> dict[tuple[str, int, str], dict[str, list[float]]]:
+def errors_by_record(results: Sequence[RunResult], split: str) -> dict[tuple[str, int, str], dict[str, list[float]]]:
     """RMSE/σ of every run by dataset, order and split, then method; ∞ for a run without a result."""
     found: dict[tuple[str, int, str], dict[str, list[float]]] = {}
     for dataset, own in _by_dataset(results).items():

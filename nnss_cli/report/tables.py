@@ -295,15 +295,20 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
     ]
 
 
+def promise_of(stability: str, gamma: float) -> str:
+    """What an option of stability promises of every model that is made with it."""
+    return {
+        "schur": f"ρ(A(ρ)) < {gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {gamma:g} at every ρ",
+    }.get(stability, "nothing")  # fmt: skip
+
+
 def certificate_rows(found: Certificate) -> list[dict[str, str]]:
     """A certificate as text."""
 
     def known(value: float | None) -> str:
         return "–" if value is None else number(value, 6)
 
-    promise = {
-        "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
-    }.get(found.stability, "nothing")  # fmt: skip
+    promise = promise_of(found.stability, found.gamma)
     linear = found.kind == "linear"
     where = "the only A" if linear else "box, sampled"
     rows = {
