@@ -208,7 +208,9 @@ FIT_OPTIONS: dict[str, Any] = {
         str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."
     ),
     "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
-    "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
+    "stability": _training(
+        str, "--stability", "schur|quadratic|none", "What is stable by construction (docs/stability.md)."
+    ),
     "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
     "dtype": _training(str, "--dtype", "float32|float64", "Precision."),

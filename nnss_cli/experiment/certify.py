@@ -57,11 +57,11 @@ class Certificate:
     kind: str
     """nnss or linear."""
     stability: str
-    """schur, contraction, none, or linear."""
+    """schur, quadratic, none, or linear."""
     covers: str
     """The model, or its LPV part alone where an integrator follows."""
     gamma: float
-    """The promised bound: on ρ(A) for schur, on ‖A‖₂ for contraction; inf where nothing is promised."""
+    """The promised bound: on ρ(A) for schur, on ‖A‖₂ for quadratic; inf where nothing is promised."""
     records: int
     """Number N of records given."""
     holds_for: str
@@ -142,7 +142,7 @@ def certify(
     lyapunov, rate = "not needed: ‖x‖² is one by construction", None
     if isinstance(system, _Linear):
         lyapunov, rate = only_lyapunov(system.system.A)
-    elif system.stability != "contraction":
+    elif system.stability != "quadratic":
         lyapunov, rate = "not searched", None
         if search_lyapunov:
             lyapunov, rate = common_lyapunov(system.matrices(_spread(seen, extremes)))
@@ -159,7 +159,7 @@ def certify(
     B_bound, C_bound, D_bound = system.output_bounds()
     bound = invariant = None
     holds_for, limit = "", math.inf
-    if isinstance(system, _Neural) and system.stability == "contraction" and system.gamma < 1:
+    if isinstance(system, _Neural) and system.stability == "quadratic" and system.gamma < 1:
         invariant = B_bound * input_bound / (1 - system.gamma)
         bound = max(largest_initial, invariant)
         limit = bound * (1 + system.rounding())
@@ -168,7 +168,7 @@ def certify(
     largest = max(box_radius, *radius.values())
     if largest >= system.gamma:
         broken.append(f"spectral radius {largest:.8g}, promised below {system.gamma:g}")
-    if system.stability == "contraction" and box_norm >= system.gamma:
+    if system.stability == "quadratic" and box_norm >= system.gamma:
         broken.append(f"norm {box_norm:.8g}, promised below {system.gamma:g}")
     if bound is not None:
         reached = [(largest, f"along a record of '{name}'") for name, largest in state.items()]

@@ -10,7 +10,9 @@ from nnss_cli.errors import InputError, unknown
 
 SCHEDULING = ("x", "x+u", "x+y", "x+u+y")
 DTYPES = ("float32", "float64")
-STABILITIES = ("schur", "contraction", "none")
+STABILITIES = ("schur", "quadratic", "none")
+FORMERLY = {"contraction": "quadratic"}
+"""Stability as older versions called it → its name today."""
 MAX_WEIGHTS = 100_000_000
 """Weights of a model: 0.8 GB of them, and several times that to train them."""
 
@@ -32,13 +34,13 @@ class Architecture:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y (y is the previous output)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), or on its norm (contraction), 0 < γ ≤ 1."""
+    """Bound on the spectral radius of A(ρ), or on its norm (quadratic), 0 < γ ≤ 1."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
     """float32 or float64."""
     stability: str = "schur"
-    """How A follows from the generator: schur, contraction or none."""
+    """How A follows from the generator: schur, quadratic or none."""
     feedthrough: bool = False
     """Whether there is a D(ρ): y = C(ρ) x + D(ρ) u instead of the paper's y = C(ρ) x."""
     integrator: bool = False
@@ -51,6 +53,7 @@ class Architecture:
             raise unknown("dtype", self.dtype, DTYPES)
         if self.integrator and "y" in self.scheduling:  # it would close a loop around the integrator
             raise InputError(f"integrator: expected scheduling x or x+u, found {self.scheduling}")
+        object.__setattr__(self, "stability", FORMERLY.get(self.stability, self.stability))  # of an older folder
         if self.stability not in STABILITIES:
             raise unknown("stability", self.stability, STABILITIES)
         if not 0 < self.gamma <= 1:

@@ -1,4 +1,4 @@
-"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or contracts.
+"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or quadratically stable.
 
     x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k) [+ D(ρ) u(k)],   x(0) = g(y(0))
 
@@ -129,7 +129,7 @@ class NNSS(nn.Module):
         a = self.architecture
         if a.stability == "schur":
             return schur_matrix(W, V, a.gamma, a.epsilon)
-        if a.stability == "contraction":
+        if a.stability == "quadratic":
             return contraction_matrix(W, a.gamma, a.epsilon)
         return W[:, : a.order, : a.order]
 

@@ -202,7 +202,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
         return "–" if value is None else number(value, 6)
 
     promise = {
-        "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
+        "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "quadratic": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
     }.get(found.stability, "nothing")  # fmt: skip
     linear = found.kind == "linear"
     where = "the only A" if linear else "box, sampled"
@@ -213,7 +213,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
         **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
         f"largest ρ(A), {where}": known(found.box_radius),
         f"largest ‖A‖, {where}": known(found.box_norm),
-        "certified rate": known(found.gamma) if found.stability == "contraction" else "–",
+        "certified rate": known(found.gamma) if found.stability == "quadratic" else "–",
         "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
         "invariant ball ‖x‖ ≤": known(found.invariant_radius),
         "largest ‖x(0)‖ of the records": known(found.initial_state),

@@ -141,7 +141,7 @@ def test_frozen_matrices_give_the_step(stability: str, scheduling: str, untraine
     assert model.matrices(x).A.shape == (3, 3)
 
 
-@pytest.mark.parametrize("kind", [("schur", "x"), ("contraction", "x+u"), ("schur", "x+u+y"), ("none", "x+y")])
+@pytest.mark.parametrize("kind", [("schur", "x"), ("quadratic", "x+u"), ("schur", "x+u+y"), ("none", "x+y")])
 def test_control_responds_as_simulate(kind: tuple[str, str], untrained: Callable[..., TrainedModel]) -> None:
     model = untrained(*kind, 3, 2, 2)
     u, y_init = signals(model)
@@ -154,7 +154,7 @@ def test_control_responds_as_simulate(kind: tuple[str, str], untrained: Callable
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 def test_linearisation_at_an_equilibrium(scheduling: str, untrained: Callable[..., TrainedModel]) -> None:
     """Its DC gain is the slope of the static curve; the curve is where simulations come to rest."""
-    model = untrained("contraction", scheduling, 3, 2, 2)
+    model = untrained("quadratic", scheduling, 3, 2, 2)
     u, h = np.array([0.4, -0.8]), 1e-4
     at = model.equilibrium(u)
     np.testing.assert_allclose(model.system.advance(at.z, u)[0], at.z, atol=1e-9)
