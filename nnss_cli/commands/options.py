@@ -209,9 +209,12 @@ FIT_OPTIONS: dict[str, Any] = {
     ),
     "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
     "stability": _training(
-        str, "--stability", "schur|quadratic|none", "What is stable by construction (docs/stability.md)."
+        str, "--stability", "schur|quadratic|incremental|none", "What is stable by construction (docs/stability.md)."
     ),
-    "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
+    "gamma": _training(float, "--gamma", "γ", "Bound on what --stability bounds, at most 1."),
+    "gain": _training(
+        float, "--gain", "Γ", "Bound on the incremental ℓ2 gain from u to y, in deviations, of --stability incremental."
+    ),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
     "dtype": _training(str, "--dtype", "float32|float64", "Precision."),
     "optimiser": _training(

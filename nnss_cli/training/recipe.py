@@ -32,13 +32,15 @@ class Recipe:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
     stability: str = field(default="schur", metadata={"renamed": FORMERLY})
-    """schur (A(ρ) Schur), quadratic (a common Lyapunov function) or none."""
+    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together), none."""
     feedthrough: str = "no"
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     integrator: str = "no"
     """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), or on its norm (quadratic)."""
+    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how trajectories come together (incremental)."""
+    gain: float = 0.0
+    """Bound on the incremental ℓ2 gain from u to y, in units of their deviations, with stability incremental; 0: none."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
@@ -136,7 +138,7 @@ class Recipe:
         return Architecture(
             order - outputs * integrator, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
             "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
-            self.feedthrough == "yes", integrator,
+            self.feedthrough == "yes", integrator, self.gain,
         )  # fmt: skip
 
     def simplest(self) -> Recipe:
@@ -157,6 +159,10 @@ class Recipe:
             "scheduling": {"scheduling": "x+u"},
             "initial": {**_COLD, "window": window},
         }
+        if self.stability == "incremental":
+            del found["initial"]  # its generator is deep
+            if self.gain:
+                del found["integrator"]
         return {name: changes for name, changes in found.items() if getattr(self, name) == "auto"}
 
     def replace(self, **changes: Any) -> Recipe:

@@ -11,7 +11,7 @@ from nnss_cli.datasets.record import Channels, Scaling
 from numba import njit
 
 from nnss_cli.model import kernels
-from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
+from nnss_cli.model.architecture import SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
@@ -68,7 +68,7 @@ def worst_difference(model: NNSS, u: np.ndarray, y: np.ndarray, consistency: flo
 
 
 @pytest.mark.parametrize("feedthrough", [False, True])
-@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize("stability", ["schur", "quadratic", "none"])
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 @pytest.mark.parametrize(("n", "r", "m", "hidden", "encoder", "batch", "L"), CASES)
 def test_gradients_agree_in_float64(
