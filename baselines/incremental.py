@@ -11,10 +11,10 @@ so that ‖K‖₂ < 1 gives ‖Δx(k+1)‖ ≤ γ ‖Δx‖. With columns for u
 
     [y/Γ; Δx(k+1)/γ; v] = K [u; Δx; w],   K = [D̄ C̄ Ē; B̄ Ā/γ F̄; H̄ Ḡ 0],   C̄ = (C + EG/2)/Γ,  Ē = EΛ⁻¹/2Γ, …
 
-‖K‖₂ < 1 gives ‖Δx(k+1)‖² + ‖Δy‖²/Γ² ≤ ‖Δx‖² + ‖Δu‖² for γ ≤ 1 as well, hence an incremental ℓ2 gain of Γ at most.
+‖K‖₂ < 1 gives ‖Δx(k+1)‖² + ‖Δy‖²/Γ² ≤ ‖Δx‖² + ‖Δu‖² as well, γ ≤ 1, hence an incremental ℓ2 gain of Γ at most.
 
 K₂₁ and K₁ = [K₁₁ K₁₂] being the rows below and above, ‖K‖₂ < 1 means ‖K₂₁‖₂ < 1 and K₁ = Θ diag(Z, I), ‖Θ‖₂ < 1, with
-ZᵀZ = I − K₂₁ᵀK₂₁. Each strict contraction is X L⁻ᵀ with LLᵀ = sI + XᵀX, or L⁻¹Y with LLᵀ = sI + YYᵀ, for s = 1 + σ ‖·‖²:
+ZᵀZ = I − K₂₁ᵀK₂₁. Each strict contraction is X L⁻ᵀ with LLᵀ = sI + XᵀX, or L⁻¹Y with LLᵀ = sI + YYᵀ, s = 1 + σ ‖·‖²:
 
     K₂₁ = X L₂⁻ᵀ,   Z = √s L₂⁻ᵀ,   Θ = L₁⁻¹ Y
 
@@ -30,8 +30,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-
 from nnss_cli.datasets.record import FloatArray
+
 from nnss_cli.errors import InputError
 
 RIDGE = 1e-6

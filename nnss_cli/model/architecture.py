@@ -14,6 +14,13 @@ DTYPES = ("float32", "float64")
 STABILITIES = ("schur", "quadratic", "incremental", "none")
 FORMERLY = {"contraction": "quadratic"}
 """Stability as older versions called it → its name today."""
+COMBINATIONS = tuple(
+    (stability, scheduling)
+    for stability in STABILITIES
+    for scheduling in SCHEDULING
+    if stability != "incremental" or "y" not in scheduling  # y(k−1) is no input that two trajectories share
+)
+"""What goes with what."""
 MAX_WEIGHTS = 100_000_000
 """Weights of a model: 0.8 GB of them, and several times that to train them."""
 
@@ -35,8 +42,8 @@ class Architecture:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y (y is the previous output)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how trajectories come together (incremental),
-    0 < γ ≤ 1."""
+    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together
+    (incremental), 0 < γ ≤ 1."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
@@ -63,10 +70,12 @@ class Architecture:
         if self.gain:
             self._check_gain()
         if self.stability == "incremental":
-            if "y" in self.scheduling:  # y(k−1) is no input that two trajectories share
+            if (self.stability, self.scheduling) not in COMBINATIONS:
                 raise InputError(f"stability incremental: expected scheduling x or x+u, found {self.scheduling}")
             if len(self.hidden) != 1:
-                raise InputError(f"stability incremental: expected one hidden layer, found {len(self.hidden)}")
+                raise InputError(
+                    f"stability incremental: expected one hidden layer, found {len(self.hidden)}: give --hidden N"
+                )
         if not 0 < self.gamma <= 1:
             raise InputError(f"gamma: expected 0 < gamma ≤ 1, found {self.gamma}")
         if not self.epsilon > 0:

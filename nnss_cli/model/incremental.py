@@ -2,12 +2,12 @@
 
     x(k+1) = A x + B u + F z,   z = tanh(Gx + Hu + b) − tanh(b),   y = C x [+ D u] + E z
 
-which is NN-SS, x(k+1) = A(ρ)x + B(ρ)u, y = C(ρ)x [+ D(ρ)u], ρ = x or [x; u], with the slopes Δ(ρ) of the secants of tanh,
+which is NN-SS, x(k+1) = A(ρ)x + B(ρ)u, y = C(ρ)x [+ D(ρ)u], ρ = x or [x; u], with the slopes Δ(ρ) of tanh's secants,
 
     A(ρ) = A + F Δ G,   B(ρ) = B + F Δ H,   C(ρ) = C + E Δ G,   D(ρ) = D + E Δ H,   0 < Δ ≤ 1
 
-The matrices follow from free ones (`nnss_cli.baselines.incremental`), always in float64: any two states come nearer by γ
-a sample under one input; with a gain Γ, all outputs differ by at most Γ times what the inputs do, in ℓ2.
+The matrices follow from free ones (`nnss_cli.baselines.incremental`), always in float64: any two states come nearer by
+γ a sample under one input; with a gain Γ, outputs differ by at most Γ times what the inputs do, in ℓ2.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class Lure(nn.Module):
         self.a = a
         n, r, m, q = a.order, a.inputs, a.outputs, a.hidden[0]
         sizes = {
-            "X": (q, n), "Y": (n, n + q), "scale": (q,), "bias": (q,), "H": (a.driven_units, r), "B": (n, r), "C": (m, n),
-            "E": (m, a.shown_units), "D": (m, r) if a.feedthrough else (0, r),
+            "X": (q, n), "Y": (n, n + q), "scale": (q,), "bias": (q,), "H": (a.driven_units, r), "B": (n, r),
+            "C": (m, n), "E": (m, a.shown_units), "D": (m, r) if a.feedthrough else (0, r),
         }  # fmt: skip
         self.sizes = {name: size for name, size in sizes.items() if min(size) > 0}
         for name, size in self.sizes.items():
@@ -108,7 +108,7 @@ class Lure(nn.Module):
         return Plain(A, B, F, G, H, b, C, D, E)
 
     def forward(self, rho: Tensor) -> Tensor:
-        """A, V, B, C, D (·, sizes of the generator's parts) at scheduling points rho (·, ·): A in the corner of W, V = 0."""
+        """W, V, B, C, D (·, their sizes) at scheduling points rho (·, ·): A in the corner of W, and V = 0."""
         a = self.a
         n, r = a.order, a.inputs
         found = self.plain()
@@ -125,6 +125,29 @@ class Lure(nn.Module):
             output[:, :, n:]
         ] * a.feedthrough
         return torch.cat([part.flatten(1) for part in parts], dim=1)
+
+    @torch.no_grad()
+    def arrays(self) -> PlainArrays:
+        """The matrices as a step has them: in the model's precision, as float64."""
+        return PlainArrays(*(part.to(self.X.dtype).double().numpy() for part in self.plain()))
+
+    @torch.no_grad()
+    def promised_norm(self) -> float:
+        """‖K‖₂ of the matrices as a step has them: below 1, γ and Γ are kept."""
+        scale = np.exp(np.arcsinh(self.scale.double().numpy() / 2))
+        K1, K21 = whole(self.arrays(), scale, self.a.gamma, self.a.gain)
+        return float(np.linalg.norm(np.block([[K1], [K21, np.zeros((len(K21), len(K21)))]]), 2))
+
+    def output_bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Largest |B(ρ)|, |C(ρ)| and |D(ρ)|, entry by entry, over all slopes between 0 and 1."""
+        _, B, F, G, H, _, C, D, E = self.arrays()
+
+        def largest(M: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
+            steps = left[:, :, None] * right[None]
+            above, below = M + np.maximum(steps, 0).sum(axis=1), M + np.minimum(steps, 0).sum(axis=1)
+            return np.maximum(np.abs(above), np.abs(below))
+
+        return largest(B, F, H), largest(C, E, G), largest(D, E, H)
 
     @torch.no_grad()
     def place(self, plain: PlainArrays, scale: FloatArray) -> None:

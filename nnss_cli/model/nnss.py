@@ -11,7 +11,8 @@ are exactly 1, whatever the weights, and the others stay what they are: w feeds 
 The state is then [x; w].
 
 ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
-follows from W and V by the Schur parametrisation; `nnss_cli.model.incremental` has another one. The encoder g is a chain of linear layers. D is an option
+follows from W and V by the Schur parametrisation; `nnss_cli.model.incremental` has another one.
+The encoder g is a chain of linear layers. D is an option
 beyond the paper: without it an input cannot show in the output of the same sample.
 
 Source: A. E. Sertbaş and T. Kumbasar, "Stable-by-Design Neural Network-Based LPV State-Space
@@ -255,7 +256,11 @@ class NNSS(nn.Module):
 
     def elementary_parts(self) -> Parts:
         """Its formulas in elementary operations, in normalised units."""
-        return nnss_parts(self.architecture, {name: tensor.numpy() for name, tensor in self.state_dict().items()})
+        layer = None
+        if isinstance(self.generator, Lure):
+            layer = tuple(part.detach().numpy() for part in self.generator.plain())
+        weights = {name: tensor.numpy() for name, tensor in self.state_dict().items()}
+        return nnss_parts(self.architecture, weights, layer)
 
     def elementary(self) -> System:
         """The model in elementary operations and physical units, float64 whatever its own precision."""

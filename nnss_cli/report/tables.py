@@ -201,7 +201,9 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
     def known(value: float | None) -> str:
         return "–" if value is None else number(value, 6)
 
+    together = f"‖x1(k) − x2(k)‖ ≤ {found.gamma:g}ᵏ ‖x1(0) − x2(0)‖ under any one input"
     promise = {
+        "incremental": together,
         "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "quadratic": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
     }.get(found.stability, "nothing")  # fmt: skip
     linear = found.kind == "linear"
@@ -213,7 +215,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
         **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
         f"largest ρ(A), {where}": known(found.box_radius),
         f"largest ‖A‖, {where}": known(found.box_norm),
-        "certified rate": known(found.gamma) if found.stability == "quadratic" else "–",
+        "certified rate": known(found.gamma) if found.stability in ("quadratic", "incremental") else "–",
         "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
         "invariant ball ‖x‖ ≤": known(found.invariant_radius),
         "largest ‖x(0)‖ of the records": known(found.initial_state),

@@ -300,8 +300,14 @@ def feedback_start(
     middle, spread = GAIN
     gain = middle * np.exp(spread * random.standard_normal())
     layered = a.stability == "incremental"
-    basis = (lambda found: promising_basis(found.plain(), a)) if layered else None
-    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis)
+
+    def basis(model: Feedback) -> FloatArray | None:
+        found = promising_basis(model.plain(), a)
+        return None if found is None else found[0]
+
+    found = fit_feedback(
+        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis if layered else None
+    )
     if found is None:
         return False
     feedback, x = found

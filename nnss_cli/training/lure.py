@@ -1,6 +1,7 @@
 """An incrementally stable layer in the fast engine: plain matrices and their derivatives by the free weights, cached.
 
-The matrices are few and the same for all samples, so torch makes and differentiates them, and compiled loops do the rest.
+The matrices are few and the same for all samples, so torch and NumPy make and differentiate them, and compiled loops
+do the rest.
 """
 
 from __future__ import annotations

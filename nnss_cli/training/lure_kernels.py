@@ -76,7 +76,7 @@ def _advance(
     A: Any, B: Any, F: Any, G: Any, H: Any, b: Any, C: Any, D: Any, E: Any, rest: Any,
     x: Any, u: Any, bent: Any, z: Any, following: Any, y: Any,
 ) -> None:  # fmt: skip
-    """One sample: x(k+1) into `following`, y, and tanh(Gx + Hu + b) and z, of which rest = tanh(b) (q,) is taken off."""
+    """One sample: x(k+1) into `following`, y, and tanh(Gx + Hu + b) and z, of which rest = tanh(b) is taken off."""
     _units(G, H, b, x, u, bent)
     for i in range(len(b)):
         for s in range(z.shape[1]):

@@ -130,7 +130,9 @@ def _contraction_with_zero(X: Pair, Y: Pair, margin: float) -> tuple[Pair, Pair]
     left, _ = _inverse_factor(Y)
     root = np.sqrt(s.value)
     theta = left @ Y
-    Z = Pair(root * right.value.T, root * right.move.swapaxes(1, 2) + s.move[:, None, None] / (2 * root) * right.value.T)
+    Z = Pair(
+        root * right.value.T, root * right.move.swapaxes(1, 2) + s.move[:, None, None] / (2 * root) * right.value.T
+    )
     K1 = beside(theta.columns(0, c) @ Z, theta.columns(c, theta.value.shape[1]))
     return (1 - margin) * K1, (1 - margin) * (X @ right.T)
 

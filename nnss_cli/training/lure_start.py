@@ -25,7 +25,8 @@ from nnss_cli.training.encoder import set_encoder
 from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers
 
 SLOPES = 0.5, 4.0  # of a unit, per deviation of what it sees
-MARGINS = np.geomspace(1e-7, 1, 22)
+MARGINS = np.geomspace(1e-7, 1, 15)
+WEIGHTS = np.geomspace(1e-2, 1e2, 9)
 SHARE = 0.5  # of the room that K leaves, for the units without effect
 DOUBLINGS = 14
 
@@ -53,11 +54,11 @@ def start_layer(
     layer = cast(Lure, model.generator)
     for inside in (0.0, *INSIDE * 2.0 ** np.arange(DOUBLINGS)):
         drawn = drawn_in(plain, 1 - inside, a.gain > 0)
-        T = promising_basis(drawn, a)
-        if T is None:
+        basis = promising_basis(drawn, a)
+        if basis is None:
             continue
-        moved = transformed(drawn, T)
-        whole_layer, scale = with_idle_units(moved, x @ T.T, a, random)
+        T, weight = basis
+        whole_layer, scale = with_idle_units(transformed(drawn, T), weight, x @ T.T, a, random)
         try:
             layer.place(whole_layer, scale)
         except InputError:
@@ -105,8 +106,10 @@ def transformed(plain: PlainArrays, T: FloatArray) -> PlainArrays:
     )
 
 
-def promising_basis(plain: PlainArrays, a: Architecture) -> FloatArray | None:
-    """T (n, n) for which ‖K‖₂ < 1 in the states T x with Λ = ½, the smallest norm found; None where none is.
+def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, float] | None:
+    """T (n, n) and λ for which ‖K‖₂ < 1 in the states T x with Λ = λ/2, the smallest norm found; None where none is.
+
+    Without a gain λ only scales P, and is 1.
 
     Args:
         plain: its units see no u, and y none of them.
@@ -115,29 +118,30 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> FloatArray | None:
     n, r, p = len(plain.A), plain.B.shape[1], len(plain.G)
     if not p and not a.gain:
         try:
-            return contracting_basis(plain.A, a.gamma)
+            return contracting_basis(plain.A, a.gamma), 1.0
         except InputError:
             return None
     A, F = (plain.A + plain.F @ plain.G / 2) / a.gamma, plain.F / a.gamma
-    seen, fed, D = plain.G / 2, F, np.zeros((p, p))
-    if a.gain:
-        seen, fed = np.concatenate([plain.C / a.gain, seen]), np.concatenate([plain.B / a.gamma, F], axis=1)
-        D = scipy.linalg.block_diag(plain.D / a.gain, D)
-    Q, S, R = seen.T @ seen, seen.T @ D, D.T @ D - np.eye(r * (a.gain > 0) + p)
-    smallest, basis = 1.0, None
-    for margin in MARGINS * np.trace(Q) / len(seen):
-        try:
-            P = scipy.linalg.solve_discrete_are(A, fed, Q + margin * np.eye(n), R, s=S)
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        values, vectors = np.linalg.eigh((P + P.T) / 2)
-        if not values[0] > 1e-9 * values[-1]:
-            continue
-        T = (vectors * np.sqrt(values)) @ vectors.T
-        norm = float(np.linalg.norm(_matrix(transformed(plain, T), np.full(p, 2.0), a), 2))
-        if norm < smallest:
-            smallest, basis = norm, T
-    return basis
+    smallest, found = 1.0, None
+    for weight in WEIGHTS if a.gain and p else (1.0,):
+        seen, fed, D = weight * plain.G / 2, F / weight, np.zeros((p, p))
+        if a.gain:
+            seen, fed = np.concatenate([plain.C / a.gain, seen]), np.concatenate([plain.B / a.gamma, fed], axis=1)
+            D = scipy.linalg.block_diag(plain.D / a.gain, D)
+        Q, S, R = seen.T @ seen, seen.T @ D, D.T @ D - np.eye(r * (a.gain > 0) + p)
+        for margin in MARGINS * np.trace(Q) / len(seen):
+            try:
+                P = scipy.linalg.solve_discrete_are(A, fed, Q + margin * np.eye(n), R, s=S)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            values, vectors = np.linalg.eigh((P + P.T) / 2)
+            if not values[0] > 1e-9 * values[-1]:
+                continue
+            T = (vectors * np.sqrt(values)) @ vectors.T
+            norm = float(np.linalg.norm(_matrix(transformed(plain, T), np.full(p, 2.0 / weight), a), 2))
+            if norm < smallest:
+                smallest, found = norm, (T, float(weight))
+    return found
 
 
 def _matrix(plain: PlainArrays, scale: FloatArray, a: Architecture) -> FloatArray:
@@ -147,21 +151,22 @@ def _matrix(plain: PlainArrays, scale: FloatArray, a: Architecture) -> FloatArra
 
 
 def with_idle_units(
-    plain: PlainArrays, x: FloatArray, a: Architecture, random: np.random.Generator
+    plain: PlainArrays, weight: float, x: FloatArray, a: Architecture, random: np.random.Generator
 ) -> tuple[PlainArrays, FloatArray]:
     """The model with units beside its own up to the layer's, that change nothing yet; and Λ⁻¹ of all (q,).
 
-    A unit sees a direction of x at random, or one of the outputs', with a slope and a centre at random. Its Λᵢ² is a share
-    of 1/GᵢS⁻¹Gᵢᵀ, S what K leaves of I for x, so that all of them together take no more than `SHARE` of it.
+    A unit sees a direction of x at random, or one of the outputs', with a slope and a centre at random. Its Λᵢ² is a
+    share of 1/GᵢS⁻¹Gᵢᵀ, S what K leaves of I for x, so that all of them together take no more than `SHARE` of it.
 
     Args:
-        plain: in the basis in which it keeps the promise with Λ = ½.
+        plain: in the basis in which it keeps the promise with Λ = λ/2.
+        weight: λ.
         x: its states (K, n).
         a: the layer's sizes.
         random: draws directions, slopes and centres.
     """
     n, r, m, q, p = a.order, a.inputs, a.outputs, a.hidden[0], len(plain.G)
-    idle, scale = q - p, np.full(p, 2.0)
+    idle, scale = q - p, np.full(p, 2.0 / weight)
     low, high = np.log(SLOPES)
     spread = np.linalg.cholesky(x.T @ x / len(x) + 1e-9 * np.mean(x**2) * np.eye(n))
     directions = np.linalg.solve(spread.T, random.standard_normal((n, idle))).T

@@ -32,15 +32,16 @@ class Recipe:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
     stability: str = field(default="schur", metadata={"renamed": FORMERLY})
-    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together), none."""
+    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together at γ)
+    or none."""
     feedthrough: str = "no"
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     integrator: str = "no"
     """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how trajectories come together (incremental)."""
+    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together."""
     gain: float = 0.0
-    """Bound on the incremental ℓ2 gain from u to y, in units of their deviations, with stability incremental; 0: none."""
+    """Bound on the incremental ℓ2 gain from u to y, both in deviations, with stability incremental; 0 for none."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"

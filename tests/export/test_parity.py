@@ -23,7 +23,7 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.export import TARGETS, ParityError, c99, export, parity, write
 from nnss_cli.export.facts import facts_of
 from nnss_cli.methods import select
-from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
+from nnss_cli.model.architecture import COMBINATIONS, Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel, load
@@ -34,11 +34,11 @@ SINGLE = 5e-5
 DOUBLE = {"control.nlsys": 1e-12, "CasADi": 1e-12, "ONNX, float64": 1e-12, "C99, double": 1e-12, "Octave": 1e-12}
 
 
-EVERY = tuple(itertools.product(STABILITIES, SCHEDULING, range(1, 7), ((1, 1), (2, 3))))
+EVERY = tuple((*kind, n, size) for kind, n, size in itertools.product(COMBINATIONS, range(1, 7), ((1, 1), (2, 3))))
 """Stability, scheduling, order, and numbers of inputs and outputs."""
 FEW = (
     ("schur", "x+u+y", 4, (2, 3)), ("quadratic", "x", 5, (1, 1)), ("none", "x+y", 2, (2, 3)),
-    ("schur", "x+u", 1, (1, 1)),
+    ("schur", "x+u", 1, (1, 1)), ("incremental", "x+u", 4, (2, 3)),
 )  # fmt: skip
 """Of these, each stability, each scheduling, and one with feedthrough; the rest are slow together."""
 

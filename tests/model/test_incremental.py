@@ -1,4 +1,4 @@
-"""The incrementally stable layer: its promises for any weights, its inverse, torch and compiled, and what it is equal to."""
+"""The incrementally stable layer: its promises for any weights, its inverse, torch and compiled."""
 
 import itertools
 from dataclasses import replace
@@ -15,8 +15,8 @@ from nnss_cli.baselines.incremental import (
     incremental_margin,
 )
 from nnss_cli.datasets.record import Channels, Scaling
-from nnss_cli.errors import InputError
 
+from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import Lure, PlainArrays, secant, whole
 from nnss_cli.model.nnss import NNSS
