@@ -154,7 +154,7 @@ def compiled_torch_step(s: Setting, dtype: str, u: FloatArray, y: FloatArray) ->
 
 
 def other_table() -> None:
-    """What a contraction costs, and whole records: each as a ratio to the Schur step on windows."""
+    """What other promises cost, and whole records: each as a ratio to the Schur step on windows."""
     rows = []
     for dtype in ("float32", "float64"):
         for s in SETTINGS:
@@ -169,11 +169,11 @@ def other_table() -> None:
                 everything = np.arange(batch)
                 return milliseconds(lambda: engine.train_batch(everything, 1), 1.5)
 
-            schur, contraction = step(s.L, s.batch), step(s.L, s.batch, "contraction")
+            schur, quadratic = step(s.L, s.batch), step(s.L, s.batch, "quadratic")
             window, record = step(s.L, 1) / s.L, step(2000, 1) / 2000
             rows.append(
                 {
-                    "setting": s.name, "precision": dtype, "contraction / schur": f"{contraction / schur:.2f}",
+                    "setting": s.name, "precision": dtype, "quadratic / schur": f"{quadratic / schur:.2f}",
                     "window, batch 1 [µs/sample]": f"{1e3 * window:.1f}",
                     "one record of 2000 [µs/sample]": f"{1e3 * record:.1f}",
                     "record / window": f"{record / window:.2f}",

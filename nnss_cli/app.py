@@ -33,7 +33,7 @@ from nnss_cli.commands import (
 )
 from nnss_cli.commands.options import with_output, with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, RenamedWarning
 from nnss_cli.experiment.interrupt import EXIT_CODE, interruptible
 from nnss_cli.files import free_space
 from nnss_cli.plugins import PluginWarning
@@ -93,7 +93,7 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; every error that the user can mend is one line and exit code 2. 130 when interrupted."""
     try:
         with interruptible(), warnings.catch_warnings():
-            _show_plugin_warnings_on_one_line()
+            _show_own_warnings_on_one_line()
             code = app(args, prog_name="nnss", standalone_mode=False)
         if code == EXIT_CODE:  # what later typer makes of it
             raise KeyboardInterrupt
@@ -113,12 +113,14 @@ def main(args: list[str] | None = None) -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _show_plugin_warnings_on_one_line() -> None:
+def _show_own_warnings_on_one_line() -> None:
     usual = warnings.showwarning
 
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, PluginWarning):
             print(f"nnss: passed over: {message}", file=sys.stderr)
+        elif issubclass(category, RenamedWarning):
+            print(f"nnss: {message}", file=sys.stderr)
         else:
             usual(message, category, *where, **more)
 

@@ -12,6 +12,10 @@ class DataUnavailable(InputError):
     """A data file could not be had: not in the cache and no source gave it."""
 
 
+class RenamedWarning(FutureWarning):
+    """A value of an option was given by the name that it had before."""
+
+
 def unknown(kind: str, found: str, valid: Iterable[str]) -> InputError:
     """The error for a name that is not in a closed list: it always shows the list."""
     return InputError(f"unknown {kind} '{found}': choose from {', '.join(valid)}")

@@ -226,8 +226,13 @@ FIT_OPTIONS: dict[str, Any] = {
         str, "--judge", "validation|blocks", "What candidates are compared on; blocks: of training and validation both."
     ),
     "threads": _training(int, "--threads", "1|2", "Of a fit, for long records; the numbers are the same."),
-    "stability": _training(str, "--stability", "schur|contraction|none", "How A follows from the generator."),
-    "gamma": _training(float, "--gamma", "γ", "Bound on the spectral radius of A, at most 1."),
+    "stability": _training(
+        str, "--stability", "schur|quadratic|incremental|none", "What is stable by construction (docs/stability.md)."
+    ),
+    "gamma": _training(float, "--gamma", "γ", "Bound on what --stability bounds, at most 1."),
+    "gain": _training(
+        float, "--gain", "Γ", "Bound on the incremental ℓ2 gain from u to y, in deviations, of --stability incremental."
+    ),
     "epsilon": _training(float, "--eps", "ε", "Added to S in the Schur parametrisation."),
     "dtype": _training(str, "--dtype", "float32|float64", "Precision."),
     "optimiser": _training(

@@ -43,7 +43,7 @@ STUDIES: dict[str, dict[str, Settings]] = {
     },
     "stability": {
         "schur": {"stability": "schur"},
-        "contraction": {"stability": "contraction"},
+        "quadratic": {"stability": "quadratic"},
         "none": {"stability": "none"},
     },
 }

@@ -24,6 +24,7 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.iterative import named_random
+from nnss_cli.model.incremental import Lure
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.fast import Weights
 
@@ -33,6 +34,7 @@ WIDER = 0.5  # the box is the range of the trajectories, wider by this share on 
 LYAPUNOV_POINTS = 150
 STRESS_STEPS, CHUNK = 1_000_000, 20_000
 HORIZON, ASCENTS, RESTARTS = 120, 25, 8  # of the adversarial input
+NORM_BOUNDED = ("quadratic", "incremental")  # ‖A(ρ)‖ < γ by construction
 INPUTS = ("zero", "highest", "lowest", "white", "sweep", "square", "adversarial", "adversarial, held")
 
 
@@ -57,11 +59,11 @@ class Certificate:
     kind: str
     """nnss or linear."""
     stability: str
-    """schur, contraction, none, or linear."""
+    """schur, quadratic, incremental, none, or linear."""
     covers: str
     """The model, or its LPV part alone where an integrator follows."""
     gamma: float
-    """The promised bound: on ρ(A) for schur, on ‖A‖₂ for contraction; inf where nothing is promised."""
+    """The promised bound: on ρ(A) for schur, on ‖A‖₂ for quadratic and incremental; inf where nothing is promised."""
     records: int
     """Number N of records given."""
     holds_for: str
@@ -142,7 +144,7 @@ def certify(
     lyapunov, rate = "not needed: ‖x‖² is one by construction", None
     if isinstance(system, _Linear):
         lyapunov, rate = only_lyapunov(system.system.A)
-    elif system.stability != "contraction":
+    elif system.stability not in NORM_BOUNDED:
         lyapunov, rate = "not searched", None
         if search_lyapunov:
             lyapunov, rate = common_lyapunov(system.matrices(_spread(seen, extremes)))
@@ -159,7 +161,7 @@ def certify(
     B_bound, C_bound, D_bound = system.output_bounds()
     bound = invariant = None
     holds_for, limit = "", math.inf
-    if isinstance(system, _Neural) and system.stability == "contraction" and system.gamma < 1:
+    if isinstance(system, _Neural) and system.stability in NORM_BOUNDED and system.gamma < 1:
         invariant = B_bound * input_bound / (1 - system.gamma)
         bound = max(largest_initial, invariant)
         limit = bound * (1 + system.rounding())
@@ -168,8 +170,12 @@ def certify(
     largest = max(box_radius, *radius.values())
     if largest >= system.gamma:
         broken.append(f"spectral radius {largest:.8g}, promised below {system.gamma:g}")
-    if system.stability == "contraction" and box_norm >= system.gamma:
+    if system.stability in NORM_BOUNDED and box_norm >= system.gamma:
         broken.append(f"norm {box_norm:.8g}, promised below {system.gamma:g}")
+    if isinstance(system, _Neural) and isinstance(system.model.generator, Lure):
+        size = system.model.generator.promised_norm()
+        if not size < 1:
+            broken.append(f"matrix of the layer's promise: norm {size:.8g}, expected below 1")
     if bound is not None:
         reached = [(largest, f"along a record of '{name}'") for name, largest in state.items()]
         reached += [(run.state, f"under input '{run.input}'") for run in stress]
@@ -283,6 +289,9 @@ class _Neural:
     def output_bounds(self) -> tuple[float, float, float]:
         """sup‖B‖₂, sup‖C‖₂ and sup‖D‖₂: entry by entry over all outputs in [0, 1] of the last sigmoid layer."""
         a = self.architecture
+        if isinstance(self.model.generator, Lure):
+            B, C, D = self.model.generator.output_bounds()
+            return float(np.linalg.norm(B, 2)), float(np.linalg.norm(C, 2)), float(np.linalg.norm(D, 2))
         layer: Any = self.model.generator[-1]
         weight, bias = (tensor.detach().numpy().astype(np.float64) for tensor in (layer.weight, layer.bias))
         highest = bias + np.maximum(weight, 0).sum(axis=1)

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
 NAME = ".index"
-FORMAT = 1
+FORMAT = 2
+"""Older ones may hold settings in former names."""
 SETTLED_NS = 2_000_000_000
 """A file that changed so recently may change again without another time of change: it gets no line yet."""
 

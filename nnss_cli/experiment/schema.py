@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from nnss_cli.datasets.record import Channels
 from nnss_cli.experiment.run import RunResult
+from nnss_cli.methods import METHODS
 from nnss_cli.modelfile import Tensors
 
 if TYPE_CHECKING:
@@ -31,6 +33,9 @@ def parse_result(text: bytes) -> RunResult:
         result = _adapter(RunResult).validate_json(text, strict=True)
         channels = _adapter(Channels).validate_python(result.channels)
     _require(isinstance(result, RunResult) and isinstance(channels, Channels), "it is no run")
+    method = METHODS.built_in.get(result.spec.method)
+    if method is not None:
+        result = replace(result, spec=replace(result.spec, settings=method.current(result.spec.settings)))
     _require(result.spec.order >= 1 and result.spec.seed >= 0, "order and seed: expected at least 1 and 0")
     _require(
         bool(result.reason) != (result.status == "ok"),

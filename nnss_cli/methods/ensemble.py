@@ -33,6 +33,10 @@ class Ensemble(Method):
         """Those of the members."""
         return self.one.settings(data, order, overrides)
 
+    def current(self, settings: Settings) -> Settings:
+        """Those of the members."""
+        return self.one.current(settings)
+
     def prepare(self, settings: Settings) -> None:
         """Import what members need."""
         self.one.prepare(settings)

@@ -77,6 +77,14 @@ class NNSS(Method):
         changed = [f for f in own if f != "engine" and getattr(recipe, f) != getattr(known, f)]
         return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
 
+    def current(self, settings: Settings) -> Settings:
+        """Of an older nnss, in today's names."""
+        if settings.get("stability") != "contraction":
+            return settings
+        from nnss_cli.model.architecture import FORMERLY
+
+        return settings | {"stability": FORMERLY["contraction"]}
+
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's recipe."""
         from nnss_cli.training.recipe import recipe_of

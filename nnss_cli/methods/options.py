@@ -10,13 +10,14 @@ import math
 import textwrap
 import types
 import typing
+import warnings
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
 from functools import cache
 from numbers import Integral, Real
 from typing import Any
 
-from nnss_cli.errors import InputError, unknown
+from nnss_cli.errors import InputError, RenamedWarning, unknown
 
 SCALARS: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
 """Types of an option, and what is expected of its value."""
@@ -41,6 +42,8 @@ class Option:
     """The only values; () where there is no such list."""
     doc: str
     """Docstring of the field, on one line."""
+    renamed: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """A value's former name → its name today."""
 
     def value(self, given: object) -> Any:
         """A value of the option's type, from Python.
@@ -84,6 +87,13 @@ class Option:
             return text
 
     def _one(self, given: object) -> Any:
+        if isinstance(given, str) and given in self.renamed:
+            now = self.renamed[given]
+            warnings.warn(
+                f"{self.name}: '{given}' is now called '{now}' and means the same; write '{now}', the old name will go",
+                RenamedWarning, stacklevel=2,
+            )  # fmt: skip
+            given = now
         if self.choices:
             if given not in self.choices:
                 raise unknown(self.name, str(given), map(str, self.choices))
@@ -100,7 +110,8 @@ def options_of(declared: type[Any]) -> dict[str, Option]:
     """The options that a frozen dataclass declares, by name.
 
     A field is bool, int, float, str, a Literal of these, a tuple of one of them (`tuple[int, ...]`), or one
-    of these or None, where None stands for what the method makes of it. `metadata={"choices": (…)}` lists values.
+    of these or None, where None stands for what the method makes of it. `metadata={"choices": (…)}` lists values,
+    `metadata={"renamed": {…}}` those that had another name: former name → today's.
 
     Raises:
         ValueError: it is no frozen dataclass, or a field has another type or no default.
@@ -123,7 +134,8 @@ def _declared(declared: type[Any]) -> dict[str, Option]:
             raise ValueError(f"options: {declared.__name__}.{each.name} has no default")
         kind, several, choices = _type(f"{declared.__name__}.{each.name}", hints[each.name])
         choices = tuple(each.metadata.get("choices", choices))
-        found[each.name] = Option(each.name, kind, several, choices, docs.get(each.name, ""))
+        renamed = each.metadata.get("renamed", {})
+        found[each.name] = Option(each.name, kind, several, choices, docs.get(each.name, ""), renamed)
     return found
 
 

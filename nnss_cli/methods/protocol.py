@@ -95,6 +95,10 @@ class Method(ABC):
         """
         return asdict(self.options(**chosen_options(self.options, overrides)))
 
+    def current(self, settings: Settings) -> Settings:
+        """Settings as an older nnss kept them with a run, in today's names; by default nothing was renamed."""
+        return settings
+
     def paper_settings(self, presets: Presets, order: int) -> Settings | None:
         """The settings with which the paper uses this method; None where it does not."""
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,7 +11,16 @@ from nnss_cli.errors import InputError, unknown
 
 SCHEDULING = ("x", "x+u", "x+y", "x+u+y")
 DTYPES = ("float32", "float64")
-STABILITIES = ("schur", "contraction", "none")
+STABILITIES = ("schur", "quadratic", "incremental", "none")
+FORMERLY = {"contraction": "quadratic"}
+"""Stability as older versions called it → its name today."""
+COMBINATIONS = tuple(
+    (stability, scheduling)
+    for stability in STABILITIES
+    for scheduling in SCHEDULING
+    if stability != "incremental" or "y" not in scheduling  # y(k−1) is no input that two trajectories share
+)
+"""What goes with what."""
 MAX_WEIGHTS = 100_000_000
 """Weights of a model: 0.8 GB of them, and several times that to train them."""
 
@@ -32,17 +42,20 @@ class Architecture:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y (y is the previous output)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), or on its norm (contraction), 0 < γ ≤ 1."""
+    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together
+    (incremental), 0 < γ ≤ 1."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
     """float32 or float64."""
     stability: str = "schur"
-    """How A follows from the generator: schur, contraction or none."""
+    """What holds by construction: schur, quadratic, incremental or none (docs/stability.md)."""
     feedthrough: bool = False
     """Whether there is a D(ρ): y = C(ρ) x + D(ρ) u instead of the paper's y = C(ρ) x."""
     integrator: bool = False
     """Whether each output sums up what the LPV part gives: y(k+1) = y(k) + C(ρ) x [+ D(ρ) u], m states more."""
+    gain: float = 0.0
+    """Bound on the incremental ℓ2 gain from u to y in normalised units, by construction (incremental); 0 for none."""
 
     def __post_init__(self) -> None:
         if self.scheduling not in SCHEDULING:
@@ -51,8 +64,18 @@ class Architecture:
             raise unknown("dtype", self.dtype, DTYPES)
         if self.integrator and "y" in self.scheduling:  # it would close a loop around the integrator
             raise InputError(f"integrator: expected scheduling x or x+u, found {self.scheduling}")
+        object.__setattr__(self, "stability", FORMERLY.get(self.stability, self.stability))  # of an older folder
         if self.stability not in STABILITIES:
             raise unknown("stability", self.stability, STABILITIES)
+        if self.gain:
+            self._check_gain()
+        if self.stability == "incremental":
+            if (self.stability, self.scheduling) not in COMBINATIONS:
+                raise InputError(f"stability incremental: expected scheduling x or x+u, found {self.scheduling}")
+            if len(self.hidden) != 1:
+                raise InputError(
+                    f"stability incremental: expected one hidden layer, found {len(self.hidden)}: give --hidden N"
+                )
         if not 0 < self.gamma <= 1:
             raise InputError(f"gamma: expected 0 < gamma ≤ 1, found {self.gamma}")
         if not self.epsilon > 0:
@@ -68,12 +91,43 @@ class Architecture:
                 f"{self.hidden}, encoder {self.encoder}: take fewer or narrower layers"
             )
 
+    def _check_gain(self) -> None:
+        if not 0 < self.gain < math.inf:
+            raise InputError(f"gain: expected a positive bound, or 0 for none, found {self.gain}")
+        if self.stability != "incremental":
+            raise InputError(f"gain: expected stability incremental, which can promise one, found {self.stability}")
+        if self.integrator:
+            raise InputError("gain: expected no integrator, whose gain has no bound")
+
+    @property
+    def driven_units(self) -> int:
+        """Units of an incrementally stable layer that see u: the first ones."""
+        if "u" not in self.scheduling:
+            return 0
+        return self.hidden[0] if self.feedthrough else (self.hidden[0] + 1) // 2
+
+    @property
+    def shown_units(self) -> int:
+        """Units of an incrementally stable layer that y sees: the last ones, none that sees u where y must not."""
+        return self.hidden[0] if self.feedthrough else self.hidden[0] - self.driven_units
+
+    @property
+    def gain_columns(self) -> int:
+        """Columns of the matrix whose norm is bounded: u, x and the units."""
+        return self.order + self.hidden[0] + self.inputs * (self.gain > 0)
+
     @property
     def weights(self) -> int:
         """Number of all weights and biases."""
-        generator = (self.scheduling_size, *self.hidden, sum(self.parameter_sizes))
-        encoder = (self.outputs, *self.encoder, self.order)
-        return sum((before + 1) * width for chain in (generator, encoder) for before, width in pairwise(chain))
+        chains = [(self.outputs, *self.encoder, self.order)]
+        found = 0
+        if self.stability == "incremental":
+            n, r, m, q = self.order, self.inputs, self.outputs, self.hidden[0]
+            found = q * (n + 2) + n * (n + q + r) + self.driven_units * r + m * (n + self.shown_units)
+            found += m * r * self.feedthrough
+        else:
+            chains.append((self.scheduling_size, *self.hidden, sum(self.parameter_sizes)))
+        return found + sum((before + 1) * width for chain in chains for before, width in pairwise(chain))
 
     @property
     def states(self) -> int:

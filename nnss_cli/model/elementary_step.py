@@ -14,23 +14,27 @@ from nnss_cli.elementary import Expression, cholesky, columns, dense, rows, solv
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.system import Parts
 
+NEAR = 1e-10  # keeps a secant's quotient of squares from 0/0; it moves the slope by a third of it at most
 
-def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
+
+def nnss_parts(
+    a: Architecture, weights: Mapping[str, FloatArray], layer: tuple[FloatArray, ...] | None = None
+) -> Parts:
     """The formulas of an NN-SS model in normalised units.
 
     Args:
         a: its architecture.
         weights: its arrays by name, as they are kept on disk; those of lower precision count as they are.
+        layer: A, B, F, G, H, b, C, D, E of an incrementally stable layer (`nnss_cli.model.incremental`).
     """
     n, r, m = a.order, a.inputs, a.outputs
     arrays = {name: np.asarray(array, dtype=np.float64) for name, array in weights.items()}
-    generator, encoder = (
-        [(arrays[f"{network}.{i}.weight"], arrays[f"{network}.{i}.bias"]) for i in numbers]
-        for network, numbers in (
-            ("generator", range(0, 2 * len(a.hidden) + 1, 2)),
-            ("encoder", range(len(a.encoder) + 1)),
-        )
-    )
+
+    def network(name: str, numbers: range) -> list[tuple[FloatArray, FloatArray]]:
+        return [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in numbers]
+
+    encoder = network("encoder", range(len(a.encoder) + 1))
+    generator = [] if layer else network("generator", range(0, 2 * len(a.hidden) + 1, 2))
     if a.integrator:
         step, drift = arrays["step_size"][:, None], arrays["generator_drift.bias"][:, None]
     scheduled = a.scheduling.split("+")
@@ -70,20 +74,39 @@ def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
         L1, L2 = (cholesky(part + added * b.constant(one)) for part in (gram[:n, :n], gram[n:, n:]))
         return solve_lower(L1, gram[:n, n:] @ solve_upper(L2, b)) * a.gamma
 
-    def advance(x: Expression, u: Expression, y: Expression) -> tuple[Expression, Expression]:
-        x, w = x[:n, :], x[n:, :] if a.integrator else x
+    def lpv_step(x: Expression, u: Expression, y: Expression) -> tuple[Expression, Expression]:
+        """x(k+1) and y(k) of the part before an integrator."""
+        if layer:
+            A, B, F, G, H, b, C, D, E = map(x.constant, (*layer[:5], layer[5][:, None], *layer[6:]))
+            z = tanh(G @ x + H @ u + b) - x.constant(np.tanh(layer[5])[:, None])
+            output = C @ x + E @ z
+            return A @ x + B @ u + F @ z, output + D @ u if a.feedthrough else output
         W, V, B, C, D = generated(x, u, y)
         output = C @ x
-        if a.feedthrough:
-            output = output + D @ u
-        following = times_A(W, V, x) + B @ u
+        return times_A(W, V, x) + B @ u, output + D @ u if a.feedthrough else output
+
+    def lpv_matrices(x: Expression, u: Expression, y: Expression) -> tuple[Expression, ...]:
+        """A, B, C and D of the part before an integrator."""
+        if layer:
+            A, B, F, G, H, b, C, D, E = map(x.constant, (*layer[:5], layer[5][:, None], *layer[6:]))
+            v = G @ x + H @ u
+            bent = tanh(v + b) - x.constant(np.tanh(layer[5])[:, None])
+            flat = x.constant(1 - np.tanh(layer[5])[:, None] ** 2)  # of a secant through v = 0
+            slope = (bent * v + flat * NEAR) / (v * v + NEAR)
+            by_x, by_u = columns(*[slope] * n) * G, columns(*[slope] * r) * H
+            return A + F @ by_x, B + F @ by_u, C + E @ by_x, D + E @ by_u
+        W, V, B, C, D = generated(x, u, y)
+        return times_A(W, V, x.constant(np.eye(n))), B, C, D
+
+    def advance(x: Expression, u: Expression, y: Expression) -> tuple[Expression, Expression]:
+        x, w = x[:n, :], x[n:, :] if a.integrator else x
+        following, output = lpv_step(x, u, y)
         if a.integrator:
             return rows(following, w + (output + output.constant(drift)) * output.constant(step)), w
         return following, output
 
     def frozen(x: Expression, u: Expression, y: Expression) -> tuple[Expression, ...]:
-        W, V, B, C, D = generated(x[:n, :], u, y)
-        A = times_A(W, V, x.constant(np.eye(n)))
+        A, B, C, D = lpv_matrices(x[:n, :], u, y)
         if not a.integrator:
             return A, B, C, D
         zero, one, s = x.constant(np.zeros((n, m))), np.eye(m), x.constant(np.diag(step[:, 0]))
@@ -96,3 +119,8 @@ def nnss_parts(a: Architecture, weights: Mapping[str, FloatArray]) -> Parts:
         return rows(dense(E, e, y0), y0) if a.integrator else dense(E, e, y0)
 
     return Parts(advance, initial, frozen, a.states, "y" in scheduled, a.feedthrough and not a.integrator)
+
+
+def tanh(v: Expression) -> Expression:
+    """tanh(v) = 2 σ(2v) − 1."""
+    return (v * 2.0).sigmoid() * 2.0 - 1.0

@@ -546,7 +546,7 @@ def _free_adjoint(
 
 # How A follows from W and V is chosen by the *type* of `kind`, at compile time: nobody waits for the compilation
 # of a parametrisation that he does not use.
-KINDS: dict[str, Any] = {"schur": np.int8(0), "contraction": np.int16(0), "none": np.int32(0)}
+KINDS: dict[str, Any] = {"schur": np.int8(0), "quadratic": np.int16(0), "none": np.int32(0)}
 
 
 def _state_product(*_: Any) -> None:

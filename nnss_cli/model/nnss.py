@@ -1,4 +1,4 @@
-"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or contracts.
+"""NN-SS: a neural LPV state-space model that is Schur at every scheduling point, or quadratically stable.
 
     x(k+1) = A(ρ) x(k) + B(ρ) u(k),   y(k) = C(ρ) x(k) [+ D(ρ) u(k)],   x(0) = g(y(0))
 
@@ -11,7 +11,8 @@ are exactly 1, whatever the weights, and the others stay what they are: w feeds 
 The state is then [x; w].
 
 ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
-follows from W and V by the Schur parametrisation. The encoder g is a chain of linear layers. D is an option
+follows from W and V by the Schur parametrisation; `nnss_cli.model.incremental` has another one.
+The encoder g is a chain of linear layers. D is an option
 beyond the paper: without it an input cannot show in the output of the same sample.
 
 Source: A. E. Sertbaş and T. Kumbasar, "Stable-by-Design Neural Network-Based LPV State-Space
@@ -23,7 +24,7 @@ from __future__ import annotations
 from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -32,7 +33,8 @@ from torch import Tensor, nn
 from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation, first_outputs
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.elementary_step import nnss_parts
-from nnss_cli.model.initial import SINGULAR, response, state_from_window
+from nnss_cli.model.incremental import Lure, Plain, advance
+from nnss_cli.model.initial import SINGULAR, Step, response, state_from_window
 from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, require_arrays, scaling_arrays, write_model
 from nnss_cli.system import Parts, System, system_of
@@ -60,11 +62,7 @@ class NNSS(nn.Module):
         self.Ts = Ts
         self.dtype: torch.dtype = getattr(torch, architecture.dtype)
         a = architecture
-        layers: list[nn.Module] = []
-        for before, width in pairwise((a.scheduling_size, *a.hidden)):
-            layers += [nn.Linear(before, width, dtype=self.dtype), nn.Sigmoid()]
-        layers.append(nn.Linear(a.hidden[-1], sum(a.parameter_sizes), dtype=self.dtype))
-        self.generator = nn.Sequential(*layers)
+        self.generator = Lure(a) if a.stability == "incremental" else self._network()
         if a.integrator:
             self.generator_drift = Drift(a.outputs, self.dtype)
         self.encoder = nn.Sequential(
@@ -81,6 +79,14 @@ class NNSS(nn.Module):
         with torch.no_grad():
             for parameter in self.parameters():
                 parameter.zero_()
+
+    def _network(self) -> nn.Sequential:
+        a = self.architecture
+        layers: list[nn.Module] = []
+        for before, width in pairwise((a.scheduling_size, *a.hidden)):
+            layers += [nn.Linear(before, width, dtype=self.dtype), nn.Sigmoid()]
+        layers.append(nn.Linear(a.hidden[-1], sum(a.parameter_sizes), dtype=self.dtype))
+        return nn.Sequential(*layers)
 
     def initialise(self, random: np.random.Generator) -> None:
         """Glorot-uniform weights and zero biases, as MATLAB's fully connected layers start.
@@ -129,7 +135,7 @@ class NNSS(nn.Module):
         a = self.architecture
         if a.stability == "schur":
             return schur_matrix(W, V, a.gamma, a.epsilon)
-        if a.stability == "contraction":
+        if a.stability == "quadratic":
             return contraction_matrix(W, a.gamma, a.epsilon)
         return W[:, : a.order, : a.order]
 
@@ -144,6 +150,8 @@ class NNSS(nn.Module):
         A x = S12 (M⁻¹ x), so A itself is not formed.
         """
         a = self.architecture
+        if isinstance(self.generator, Lure):
+            return self._lure_step(self._lure_matrices(), x, u)
         x, w = x[..., : a.order], x[..., a.order :]
         W, V, B, C, D = self.matrices(self.rho(x, u, y_previous))
         if a.stability == "schur":
@@ -155,9 +163,29 @@ class NNSS(nn.Module):
         y = (C @ x.unsqueeze(-1)).squeeze(-1)
         if D is not None:
             y = y + (D @ u.unsqueeze(-1)).squeeze(-1)
-        if a.integrator:
+        return self._summed(x_next, w, y)
+
+    def _summed(self, x_next: Tensor, w: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """The whole state and the output: those of an integrator where there is one."""
+        if self.architecture.integrator:
             return torch.cat([x_next, w + self.step_size * (y + self.generator_drift.bias)], dim=-1), w
         return x_next, y
+
+    def _lure_matrices(self) -> Plain:
+        generator = cast(Lure, self.generator)
+        return Plain(*(part.to(self.dtype) for part in generator.plain()))
+
+    def _lure_step(self, plain: Plain, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        n = self.architecture.order
+        x_next, y = advance(plain, x[..., :n], u)
+        return self._summed(x_next, x[..., n:], y)
+
+    def stepper(self) -> Step:
+        """`step` for many samples: what does not depend on them is done once."""
+        if not isinstance(self.generator, Lure):
+            return self.step
+        plain = self._lure_matrices()
+        return lambda x, u, _: self._lure_step(plain, x, u)
 
     def encode(self, y0: Tensor) -> Tensor:
         """x(0) (…, n) from first outputs (…, m): the encoder's, and the outputs themselves for an integrator's."""
@@ -181,9 +209,10 @@ class NNSS(nn.Module):
         x = self.encode(y0) if x0 is None else x0
         y_previous = y0 if y_previous is None else y_previous
         xs, ys = [], []
+        step = self.stepper()
         for k in range(u.shape[1]):
             xs.append(x)
-            x, y_previous = self.step(x, u[:, k], y_previous)
+            x, y_previous = step(x, u[:, k], y_previous)
             ys.append(y_previous)
         return torch.stack(ys, dim=1), torch.stack(xs, dim=1)
 
@@ -195,9 +224,11 @@ class NNSS(nn.Module):
         if len(y) == 1:
             return None
 
+        step = self.stepper()
+
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
             try:
-                simulated, J = response(self.step, torch.tensor(x0, dtype=self.dtype), u[: len(y)], y[0])
+                simulated, J = response(step, torch.tensor(x0, dtype=self.dtype), u[: len(y)], y[0])
             except SINGULAR:  # as good as not finite
                 return np.full(y.numel(), np.inf), np.full((y.numel(), len(x0)), np.inf)
             return (simulated - y).ravel().numpy().astype(np.float64), J.flatten(0, 1).numpy().astype(np.float64)
@@ -225,7 +256,11 @@ class NNSS(nn.Module):
 
     def elementary_parts(self) -> Parts:
         """Its formulas in elementary operations, in normalised units."""
-        return nnss_parts(self.architecture, {name: tensor.numpy() for name, tensor in self.state_dict().items()})
+        layer = None
+        if isinstance(self.generator, Lure):
+            layer = tuple(part.detach().numpy() for part in self.generator.plain())
+        weights = {name: tensor.numpy() for name, tensor in self.state_dict().items()}
+        return nnss_parts(self.architecture, weights, layer)
 
     def elementary(self) -> System:
         """The model in elementary operations and physical units, float64 whatever its own precision."""

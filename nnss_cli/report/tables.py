@@ -298,7 +298,8 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
 def promise_of(stability: str, gamma: float) -> str:
     """What an option of stability promises of every model that is made with it."""
     return {
-        "schur": f"ρ(A(ρ)) < {gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {gamma:g} at every ρ",
+        "incremental": f"‖x1(k) − x2(k)‖ ≤ {gamma:g}ᵏ ‖x1(0) − x2(0)‖ under any one input",
+        "schur": f"ρ(A(ρ)) < {gamma:g} at every ρ", "quadratic": f"‖A(ρ)‖ < {gamma:g} at every ρ",
     }.get(stability, "nothing")  # fmt: skip
 
 
@@ -318,7 +319,7 @@ def certificate_rows(found: Certificate) -> list[dict[str, str]]:
         **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
         f"largest ρ(A), {where}": known(found.box_radius),
         f"largest ‖A‖, {where}": known(found.box_norm),
-        "certified rate": known(found.gamma) if found.stability == "contraction" else "–",
+        "certified rate": known(found.gamma) if found.stability in ("quadratic", "incremental") else "–",
         "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
         "invariant ball ‖x‖ ≤": known(found.invariant_radius),
         "largest ‖x(0)‖ of the records": known(found.initial_state),

@@ -17,6 +17,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map
 from nnss_cli.training.least_squares import Block
+from nnss_cli.training.lure import CompiledLure
 from nnss_cli.training.recipe import Recipe
 
 STRETCH = 2048  # samples whose derivatives are held at a time
@@ -35,6 +36,10 @@ class Weights:
         self.drift = slice(self.generator_size - a.outputs * a.integrator, self.generator_size)
         self.step_size = model.step_size.numpy() if a.integrator else np.ones(0)
         self.widths = np.array([a.scheduling_size, *a.hidden, sum(a.parameter_sizes)])
+        self.lure: CompiledLure | None = None
+        if a.stability == "incremental":
+            own = {name.partition(".")[2]: view for name, view in self.views(self.vector).items() if _of_layer(name)}
+            self.lure = CompiledLure(a, own)
 
     def views(self, vector: FloatArray) -> dict[str, FloatArray]:
         """`vector` cut into the shapes of the weights, without copying."""
@@ -88,10 +93,25 @@ class Weights:
         """
         a, dtype, p = self.architecture, self.vector.dtype, self.drift.start
         n, m = a.order, a.outputs
-        S = np.zeros((n + m, p + n), dtype)
-        S[:n, p:] = np.eye(n)
         x0, w, u, y0 = (np.array(signal, dtype, order="C") for signal in (x0[:n], x0[n:], u, y0))
         by_w = np.eye(m, p + m + n + m, p + m + n, dtype)  # ∂w/∂(generator, drift, x0, w0)
+        parts = self.lure.sensitivities(x0, u, STRETCH) if self.lure else self._stretches(x0, u, y0)
+        for y, x, J in parts:
+            if a.integrator:
+                s, same = self.step_size, np.broadcast_to(np.eye(m, dtype=dtype), (len(y), m, m))
+                J = np.concatenate([J[:, :, :p], same, J[:, :, p:], 0 * same], axis=2)
+                y, w = integrated(s * (y + self.vector[self.drift]), w)
+                J, by_w = integrated(s[:, None] * J, by_w)
+            yield y, x, J
+
+    def _stretches(
+        self, x0: FloatArray, u: FloatArray, y0: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """`sensitivities` of the LPV part, with a generator network."""
+        a, dtype, p = self.architecture, self.vector.dtype, self.drift.start
+        n, m = a.order, a.outputs
+        S = np.zeros((n + m, p + n), dtype)
+        S[:n, p:] = np.eye(n)
         for start in range(0, len(u), STRETCH):
             part = u[start : start + STRETCH]
             k = len(part)
@@ -100,11 +120,6 @@ class Weights:
                 self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
                 a.epsilon, x0, part, y0, S, y, x, J,
             )  # fmt: skip
-            if a.integrator:
-                s, same = self.step_size, np.broadcast_to(np.eye(m, dtype=dtype), (k, m, m))
-                J = np.concatenate([J[:, :, :p], same, J[:, :, p:], 0 * same], axis=2)
-                y, w = integrated(s * (y + self.vector[self.drift]), w)
-                J, by_w = integrated(s[:, None] * J, by_w)
             yield y, x, J
 
     def free_runs(self, u: FloatArray, y0: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -113,14 +128,22 @@ class Weights:
         K, _, b = u.shape
         y, x = np.empty((K, a.outputs, b), dtype), np.empty((K, a.order, b), dtype)
         u, y0, w, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0[a.order :], x0[: a.order]))
-        kernels.free_run(
-            self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
-            a.epsilon, x0, u, y0, y, x,
-        )  # fmt: skip
+        if self.lure:
+            self.lure.free_run(u, x0, y, x)
+        else:
+            kernels.free_run(
+                self.vector, self.widths, kernels.KINDS[a.stability], "u" in a.scheduling, "y" in a.scheduling, a.gamma,
+                a.epsilon, x0, u, y0, y, x,
+            )  # fmt: skip
         if a.integrator:
             y, _ = integrated(self.step_size[:, None] * (y + self.vector[self.drift][:, None]), w)
             x = np.concatenate([x, y], axis=1)
         return y, x
+
+
+def _of_layer(name: str) -> bool:
+    """Whether a weight is the incrementally stable layer's: neither the encoder's nor an integrator's drift."""
+    return name.startswith("generator.")
 
 
 def integrated(v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -135,7 +158,8 @@ def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) ->
     """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size."""
     from nnss_cli.datasets.record import Channels, Scaling
 
-    architecture = Architecture(1, 1, 1, hidden=(9, 1), encoder=(1,), dtype=dtype, stability=stability)
+    hidden = (9,) if stability == "incremental" else (9, 1)
+    architecture = Architecture(1, 1, 1, hidden=hidden, encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
     model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
     engine = FastEngine(model, [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype))
@@ -185,18 +209,23 @@ class FastEngine:
     def _evaluate(self, u: FloatArray, y: FloatArray) -> float:
         """The training loss of windows of one length, u (L, r, b) and y (L, m, b); its gradient is in `gradient`."""
         weights, a = self.model_weights, self.model_weights.architecture
-        L, _, b = u.shape
-        needed = kernels.workspace_size(
-            [int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize
-        )
-        if needed > self.space.size:
-            self.space = np.empty(needed, self.gradient.dtype)
         maps = encoder_map(self.layers, a.outputs)
-        loss = kernels.loss_and_gradient(
-            weights.vector, weights.widths, kernels.KINDS[a.stability],
-            *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
-            self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
-        )  # fmt: skip
+        if weights.lure:
+            loss = weights.lure.loss_and_gradient(
+                *maps[-1], self.recipe.consistency, u, y, self.gradient, *self.d_encoder
+            )
+        else:
+            L, _, b = u.shape
+            needed = kernels.workspace_size(
+                [int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize
+            )
+            if needed > self.space.size:
+                self.space = np.empty(needed, self.gradient.dtype)
+            loss = kernels.loss_and_gradient(
+                weights.vector, weights.widths, kernels.KINDS[a.stability],
+                *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
+                self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
+            )  # fmt: skip
         through = encoder_gradient(self.layers, maps, *self.d_encoder)
         for (d_W, d_bias), (W, bias) in zip(through, self.layer_gradients, strict=True):
             W[:], bias[:] = (0, 0) if self.recipe.fixed_encoder else (d_W, d_bias)

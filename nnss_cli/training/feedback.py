@@ -18,6 +18,7 @@ L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -27,11 +28,13 @@ import torch
 
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.incremental import PlainArrays
 from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import feedback_kernels as kernels
 from nnss_cli.training.encoder import regress_encoder, set_encoder
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
+from nnss_cli.training.lure_start import promising_basis, start_layer
 from nnss_cli.training.warm import LinearStart, encoder_layers, free_matrices, set_generator
 
 ITERATIONS = 80
@@ -99,6 +102,14 @@ class Feedback:
         near = np.abs(s) < 1e-8
         psi = np.where(near, 1.0, np.tanh(s) / np.where(near, 1.0, s))
         return self.A + (self.F * psi) @ self.G
+
+    def plain(self) -> PlainArrays:
+        """As the matrices of an incrementally stable layer."""
+        m, r = self.D.shape
+        q = len(self.G)
+        return PlainArrays(
+            self.A, self.B, self.F, self.G, np.zeros((q, r)), np.zeros(q), self.C, self.D, np.zeros((m, q))
+        )
 
     def transform(self, T: FloatArray) -> Feedback:
         """The same model with states T x."""
@@ -198,6 +209,7 @@ def fit_feedback(
     gain: float,
     init_window: int = 1,
     feedthrough: bool = False,
+    basis: Callable[[Feedback], FloatArray | None] | None = None,
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
 
@@ -210,6 +222,7 @@ def fit_feedback(
         gain: g.
         init_window: first samples of a validation experiment that tell x(0); where several, they are not scored.
         feedthrough: whether D is estimated.
+        basis: the basis T (n, n) of an iterate, None for one that will not do; by default `contracting_basis`.
 
     Returns:
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
@@ -244,7 +257,7 @@ def fit_feedback(
         error = val_error(model, *regress_encoder(y, x))
         waited += 1
         if error < lowest:
-            T = model.contracting_basis(gamma, epsilon)
+            T = model.contracting_basis(gamma, epsilon) if basis is None else basis(model)
             if T is not None:
                 T /= np.sqrt(np.mean((x @ T.T) ** 2))
                 lowest, best, waited = error, (model.transform(T), x @ T.T), 0
@@ -286,10 +299,22 @@ def feedback_start(
     a = model.architecture
     middle, spread = GAIN
     gain = middle * np.exp(spread * random.standard_normal())
-    found = fit_feedback(linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough)
+    layered = a.stability == "incremental"
+
+    def basis(model: Feedback) -> FloatArray | None:
+        found = promising_basis(model.plain(), a)
+        return None if found is None else found[0]
+
+    found = fit_feedback(
+        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis if layered else None
+    )
     if found is None:
         return False
     feedback, x = found
+    if layered:
+        T, _ = start_layer(model, feedback.plain(), x, random)
+        set_encoder(encoder_layers(model), *regress_encoder(np.concatenate([record.y for record in train]), x @ T.T))
+        return True
     G, width = feedback.G, a.hidden[0]
     low, high = np.log(SLOPES)
     slopes = np.exp(random.uniform(low, high, width)) * random.choice([-1.0, 1.0], width)

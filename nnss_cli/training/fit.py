@@ -22,6 +22,7 @@ from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, p
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
+from nnss_cli.training.lure_start import linear_layer
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import differences, linear_start, step_size, sum_up, warm_start
 
@@ -346,7 +347,10 @@ def _begin(
             remarks += (f"{failed('feedback start', error)}: started from the linear model",)
             draw()  # what failed may have changed some weights
     try:
-        warm_start(model, linear)
+        if a.stability == "incremental":
+            linear_layer(model, linear, train, named_random(seed, "units"))
+        else:
+            warm_start(model, linear)
     except FAILURES as error:
         draw()
         return "random", (*remarks, f"{failed('linear start', error)}: started from random weights")

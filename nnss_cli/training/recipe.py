@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
@@ -11,7 +11,7 @@ from nnss_cli.datasets.record import Presets
 from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import PATIENCE_UNITS
-from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.architecture import FORMERLY, Architecture
 
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
@@ -32,14 +32,17 @@ class Recipe:
     """Widths of the encoder's linear layers before its output."""
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
-    stability: str = "schur"
-    """schur (A(ρ) Schur), contraction (a common Lyapunov function) or none."""
+    stability: str = field(default="schur", metadata={"renamed": FORMERLY})
+    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together at γ)
+    or none."""
     feedthrough: str = "no"
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     integrator: str = "no"
     """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
     gamma: float = 1.0
-    """Bound on the spectral radius of A(ρ), or on its norm (contraction)."""
+    """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together."""
+    gain: float = 0.0
+    """Bound on the incremental ℓ2 gain from u to y, both in deviations, with stability incremental; 0 for none."""
     epsilon: float = EPSILON
     """Added to S in the Schur parametrisation."""
     dtype: str = "float32"
@@ -147,7 +150,7 @@ class Recipe:
         return Architecture(
             order - outputs * integrator, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
             "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
-            self.feedthrough == "yes", integrator,
+            self.feedthrough == "yes", integrator, self.gain,
         )  # fmt: skip
 
     def simplest(self) -> Recipe:
@@ -168,6 +171,10 @@ class Recipe:
             "scheduling": {"scheduling": "x+u"},
             "initial": {**_COLD, "window": window},
         }
+        if self.stability == "incremental":
+            del found["initial"]  # its generator is deep
+            if self.gain:
+                del found["integrator"]
         return {name: changes for name, changes in found.items() if getattr(self, name) == "auto"}
 
     def replace(self, **changes: Any) -> Recipe:

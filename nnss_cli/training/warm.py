@@ -79,7 +79,7 @@ def warm_start(model: NNSS, linear: LinearStart) -> None:
     a = model.architecture
     start, E = linear
     A = start.A
-    if a.stability == "contraction":
+    if a.stability == "quadratic":
         T = contracting_basis(A, a.gamma)
         start, E = start.transform(T), T @ E
         # a slow pole leaves no room for ε: what is taken off is no more than INSIDE takes elsewhere
@@ -96,7 +96,7 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
 
     Args:
         a: which parametrisation.
-        A: ρ(A) < γ for schur, ‖A‖₂ < γ for contraction.
+        A: ρ(A) < γ for schur, ‖A‖₂ < γ for quadratic.
         P: of `schur_inverse`.
     """
     W: FloatArray = np.zeros((2 * a.order, 2 * a.order))
@@ -111,7 +111,7 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
                     raise
             else:
                 break
-    elif a.stability == "contraction":
+    elif a.stability == "quadratic":
         W = contraction_inverse(A, a.gamma, a.epsilon)
     else:
         W[: a.order, : a.order] = A

@@ -68,7 +68,7 @@ def test_studies(nnss: Callable, study: str) -> None:
     outcome = nnss(*call)
     assert outcome.code == 0, outcome.err
     text = Path(f"results/twotank-sim/paper/study-{study}.md").read_text()
-    assert ("contraction" in text) == (study == "stability")
+    assert ("quadratic" in text) == (study == "stability")
     again = nnss(*call)
     assert ": 0 runs to do" in again.out
     assert Path(f"results/twotank-sim/paper/study-{study}.md").read_text() == text
@@ -117,6 +117,28 @@ def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     assert nnss("report").code == 0
     assert json.loads(run.read_text())["provenance"]["nnss"] == __version__
     assert not list(Path("results").rglob(".tmp-*"))
+
+
+def test_a_former_name_is_told_once_and_kept_runs_and_models_of_it_are_todays(nnss: Callable) -> None:
+    call = ("compare", "twotank-sim", "--methods", "nnss", "--orders", "2", "--seeds", "2", "--jobs", "1", *QUICK)
+    former = nnss(*call, "--stability", "contraction")
+    assert former.code == 0
+    assert former.err.count("\n") == 1
+    assert "'contraction' is now called 'quadratic'" in former.err
+    runs = Path("results/twotank-sim/paper/runs")
+    for path in (*runs.glob("*/run.json"), *runs.glob("*/model.json")):  # as they were kept before
+        text = path.read_text()
+        assert '"contraction"' not in text
+        path.write_text(text.replace('"quadratic"', '"contraction"'))
+    for option, told in ((("--stability", "quadratic"), 0), (("--set", "nnss.stability=contraction"), 1)):
+        again = nnss(*call, *option)
+        assert (again.code, again.err.count("\n")) == (0, told), again.err
+        assert "0 runs to do, 2 done already" in again.out
+    refused = nnss(*call, "--stability", "none")
+    assert "stability quadratic instead of none" in refused.err
+    certified = nnss("certify", str(runs / "nnss-n2-s0"), "--steps", "100", "--json")
+    assert certified.code == 0, certified.err
+    assert json.loads(certified.out)["stability"] == "quadratic"
 
 
 def test_repeated_orders_and_methods(nnss: Callable) -> None:

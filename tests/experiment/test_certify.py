@@ -75,13 +75,13 @@ def test_products_of_schur_matrices_can_grow() -> None:
     assert np.abs(np.linalg.eigvals(SWITCHED[0] @ SWITCHED[1])).max() == pytest.approx(4)
 
 
-def test_a_schur_model_diverges_without_input_and_under_contraction_it_cannot() -> None:
+def test_a_schur_model_diverges_without_input_and_under_quadratic_it_cannot() -> None:
     weights = Weights(switching("schur"))
     _, x = weights.free_run(np.zeros((60, 1)), np.ones(1))
     assert np.linalg.norm(x[-1]) > 1e12
     assert certify(switching("schur"), {"train": (record(),)}, steps=300, search_lyapunov=False).broken == ()  # ρ < 1
 
-    model = switching("contraction", gamma=0.99)
+    model = switching("quadratic", gamma=0.99)
     model.load_state_dict(switching("schur").state_dict())
     _, x = Weights(model).free_run(np.zeros((60, 1)), np.ones(1))
     norms = np.linalg.norm(x, axis=1)
@@ -104,7 +104,7 @@ def test_a_schur_model_diverges_without_input_and_under_contraction_it_cannot() 
 def test_every_trajectory_stays_inside_the_printed_bound(
     seed: int, gamma: float, scale: float, scheduling: str, dtype: str, starts: list[float]
 ) -> None:
-    model = random_model(seed, "contraction", gamma, scale, scheduling, dtype)
+    model = random_model(seed, "quadratic", gamma, scale, scheduling, dtype)
     own = [from_output(y0) for y0 in starts]
     found = certify(model, {"train": tuple(own[:1]), "test": tuple(own[1:])}, steps=2000)
     assert found.broken == ()
@@ -121,7 +121,7 @@ def test_every_trajectory_stays_inside_the_printed_bound(
 
 @pytest.mark.parametrize("splits", [("train", "train"), ("train", "test")])
 def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, str]) -> None:
-    model = random_model(0, "contraction", 0.5)
+    model = random_model(0, "quadratic", 0.5)
     near, far = from_output(0.0), from_output(1e4)
     given_records: dict[str, tuple[Record, ...]] = {}
     for name, own in zip(splits, (near, far), strict=True):
@@ -143,13 +143,13 @@ def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, s
 
 def test_a_record_beyond_the_bound_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_Neural, "output_bounds", lambda _: (0.0, 0.0, 0.0))
-    model = random_model(1, "contraction", 0.9)
+    model = random_model(1, "quadratic", 0.9)
     broken = certify(model, {"train": (from_output(0.0),), "test": (record(),)}, steps=100).broken
     assert any("along a record of 'train'" in line and "promised at most" in line for line in broken)
 
 
 def test_the_bounds_of_B_and_C_count_biases_and_the_input_bound_is_the_corner() -> None:
-    a = Architecture(2, 2, 1, (3,), (2,), dtype="float64", stability="contraction", gamma=0.9)
+    a = Architecture(2, 2, 1, (3,), (2,), dtype="float64", stability="quadratic", gamma=0.9)
     two = Scaling(np.zeros(2), np.ones(2), np.zeros(1), np.ones(1))
     model = NNSS(a, two, Channels(("u", "v"), ("y",), ("", ""), ("",)), 1.0)
     B, C = np.array([[3.0, -1.0], [0.5, 2.0]]), np.array([[1.0, -4.0]])
@@ -186,7 +186,7 @@ def test_one_matrix_is_judged_exactly() -> None:
 def test_a_broken_promise_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     sound = NNSS.state_matrix
     monkeypatch.setattr(NNSS, "state_matrix", lambda self, W, V: 1.5 * sound(self, W, V))
-    broken = certify(random_model(0, "contraction", 0.9), {"train": (record(),)}, steps=200).broken
+    broken = certify(random_model(0, "quadratic", 0.9), {"train": (record(),)}, steps=200).broken
     assert any("norm" in line and "0.9" in line for line in broken)
 
 
@@ -230,7 +230,7 @@ def test_other_models_and_empty_data_are_refused() -> None:
 
 def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     trained = nnss(
-        "train", "twotank-sim", "--order", "2", "--stability", "contraction", "--gamma", "0.99", "--epochs", "2"
+        "train", "twotank-sim", "--order", "2", "--stability", "quadratic", "--gamma", "0.99", "--epochs", "2"
     )
     assert trained.code == 0, trained.err
     run = "results/twotank-sim/paper/runs/nnss-n2-s0"
@@ -254,8 +254,8 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
 
 
 def test_of_an_integrators_model_the_lpv_part_is_promised_and_the_rest_is_not() -> None:
-    plain = random_model(0, "contraction", 0.9, scale=1.0)
-    a = Architecture(3, 1, 1, (8,), (4,), dtype="float64", stability="contraction", gamma=0.9, integrator=True)
+    plain = random_model(0, "quadratic", 0.9, scale=1.0)
+    a = Architecture(3, 1, 1, (8,), (4,), dtype="float64", stability="quadratic", gamma=0.9, integrator=True)
     model = NNSS(a, UNIT, CHANNELS, 1.0)
     model.load_state_dict(
         plain.state_dict() | {n: v for n, v in model.state_dict().items() if "drift" in n or "step" in n}

@@ -23,7 +23,7 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.export import TARGETS, ParityError, c99, export, parity, write
 from nnss_cli.export.facts import facts_of
 from nnss_cli.methods import select
-from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
+from nnss_cli.model.architecture import COMBINATIONS, Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel, load
@@ -34,11 +34,11 @@ SINGLE = 5e-5
 DOUBLE = {"control.nlsys": 1e-12, "CasADi": 1e-12, "ONNX, float64": 1e-12, "C99, double": 1e-12, "Octave": 1e-12}
 
 
-EVERY = tuple(itertools.product(STABILITIES, SCHEDULING, range(1, 7), ((1, 1), (2, 3))))
+EVERY = tuple((*kind, n, size) for kind, n, size in itertools.product(COMBINATIONS, range(1, 7), ((1, 1), (2, 3))))
 """Stability, scheduling, order, and numbers of inputs and outputs."""
 FEW = (
-    ("schur", "x+u+y", 4, (2, 3)), ("contraction", "x", 5, (1, 1)), ("none", "x+y", 2, (2, 3)),
-    ("schur", "x+u", 1, (1, 1)),
+    ("schur", "x+u+y", 4, (2, 3)), ("quadratic", "x", 5, (1, 1)), ("none", "x+y", 2, (2, 3)),
+    ("schur", "x+u", 1, (1, 1)), ("incremental", "x+u", 4, (2, 3)),
 )  # fmt: skip
 """Of these, each stability, each scheduling, and one with feedthrough; the rest are slow together."""
 
@@ -111,7 +111,7 @@ def test_parity_of_every_kind(kind: tuple, target: str, tried: Callable, tmp_pat
 
 QUICK = {"epochs": 3, "hidden": (8,), "encoder": (4,)}
 TRAINED = {
-    "contraction": ("nnss", QUICK | {"stability": "contraction", "gamma": 0.999, "initial": "random"}),
+    "quadratic": ("nnss", QUICK | {"stability": "quadratic", "gamma": 0.999, "initial": "random"}),
     "float32": ("nnss-paper", {"epochs": 2, "stride": 50, "hidden": (20,)}),
     "linear": ("ssest", {}),
 }
@@ -126,7 +126,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trained
     @cache
     def model(name: str) -> TrainedModel:
         if name == "ensemble":
-            one, other = model("contraction"), model("float32")
+            one, other = model("quadratic"), model("float32")
             Ensemble((one.model, other.model)).save(folder := store.folder / "runs" / name)
             shutil.copy(one.folder / "signals.safetensors", folder)
             return load(folder)
@@ -140,7 +140,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trained
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize(
-    "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("contraction", "float32", "ensemble"))]
+    "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("quadratic", "float32", "ensemble"))]
 )
 def test_trained_models_on_their_whole_test_record(
     name: str, target: str, trained: Callable[[str], TrainedModel], tmp_path: Path
@@ -158,7 +158,7 @@ def test_trained_models_on_their_whole_test_record(
     assert facts["fingerprint"] == model.fingerprint
     assert [entry["what"] for entry in facts["parity"]] == [found.what for found in done.parity]
     certificate = facts["certificate"][0]
-    assert (certificate["state_bound"] is not None) == (name in ("contraction", "ensemble"))
+    assert (certificate["state_bound"] is not None) == (name in ("quadratic", "ensemble"))
     source = {"control": "model.py", "c": "model.c", "mat": "model_step.m"}.get(target)
     if source:
         text = (tmp_path / "out" / source).read_text()
@@ -227,7 +227,7 @@ def test_other_wrong_exports_are_one_line(tried: Callable, tmp_path: Path, monke
 
 
 def test_c_uses_no_library_function_but_exp(tried: Callable, tmp_path: Path) -> None:
-    for i, kind in enumerate([("contraction", "x+u", 3, (1, 1)), ("schur", "x", 3, (2, 3))]):
+    for i, kind in enumerate([("quadratic", "x+u", 3, (1, 1)), ("schur", "x", 3, (2, 3))]):
         model, facts, trial = tried(*kind)
         c99.write_c(model, facts, trial, tmp_path, f"m{i}")
         subprocess.run([*c99.compiler(), "-O3", "-c", f"m{i}.c", "-o", f"m{i}.o"], cwd=tmp_path, check=True)
@@ -288,7 +288,7 @@ def test_the_module_of_control_stands_alone(tried: Callable, tmp_path: Path) -> 
 
 @pytest.mark.skipif(not (shutil.which("octave-cli") or shutil.which("octave")), reason="there is no Octave here")
 def test_octave_runs_the_functions(tried: Callable, tmp_path: Path) -> None:
-    (found,) = writer("mat")(*tried("contraction", "x+u+y", 3, (2, 3)), tmp_path, "model")
+    (found,) = writer("mat")(*tried("quadratic", "x+u+y", 3, (2, 3)), tmp_path, "model")
     assert found.what == "Octave"
     assert found.simulation <= 1e-12
 

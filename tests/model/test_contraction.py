@@ -70,7 +70,7 @@ def test_gradcheck() -> None:
 
 
 def contracting(seed: int, gamma: float, dtype: str = "float64") -> NNSS:
-    a = Architecture(3, 2, 1, (9, 7), (4,), gamma=gamma, dtype=dtype, stability="contraction")
+    a = Architecture(3, 2, 1, (9, 7), (4,), gamma=gamma, dtype=dtype, stability="quadratic")
     model = NNSS(
         a, Scaling(np.zeros(2), np.ones(2), np.zeros(1), np.ones(1)), Channels(("a", "b"), ("y",), ("", ""), ("",)), 1.0
     )

@@ -13,7 +13,7 @@ from nnss_cli.datasets.record import Scaling
 
 from nnss_cli.elementary import OPERATIONS, cholesky, rows, solve, solve_lower, solve_upper, trace
 from nnss_cli.errors import InputError
-from nnss_cli.model.architecture import SCHEDULING, STABILITIES
+from nnss_cli.model.architecture import COMBINATIONS, SCHEDULING, STABILITIES
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.system import Parts, system_of
 from nnss_cli.trained import TrainedModel, load
@@ -36,8 +36,7 @@ def largest_error(model: TrainedModel, w: int = 1) -> float:
     return float(np.abs(y - expected).max() / max(1.0, np.abs(expected).max()))
 
 
-@pytest.mark.parametrize("scheduling", SCHEDULING)
-@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize(("stability", "scheduling"), COMBINATIONS)
 def test_parity_with_simulate(stability: str, scheduling: str, untrained: Callable[..., TrainedModel]) -> None:
     for n in range(1, 7):
         for r, m in ((1, 1), (2, 3)):
@@ -107,8 +106,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     assert trace(lambda a: {"b": rows(a)}, a=(2, 3)).outputs == {"b": 0}
 
 
-@pytest.mark.parametrize("scheduling", SCHEDULING)
-@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize(("stability", "scheduling"), COMBINATIONS)
 def test_jacobians_are_the_derivatives(stability: str, scheduling: str, untrained: Callable[..., TrainedModel]) -> None:
     system = untrained(stability, scheduling, 3, 2, 2, feedthrough=True).system
     random = np.random.default_rng(0)
@@ -123,8 +121,7 @@ def test_jacobians_are_the_derivatives(stability: str, scheduling: str, untraine
             np.testing.assert_allclose(matrix[:, i], (ahead[output] - behind[output]) / (2 * h), atol=1e-8)
 
 
-@pytest.mark.parametrize("scheduling", SCHEDULING)
-@pytest.mark.parametrize("stability", STABILITIES)
+@pytest.mark.parametrize(("stability", "scheduling"), COMBINATIONS)
 def test_frozen_matrices_give_the_step(stability: str, scheduling: str, untrained: Callable[..., TrainedModel]) -> None:
     """In physical units: x(k+1) = A x + B (u − ū), y = C x + D (u − ū) + ȳ."""
     for feedthrough in (False, True):
@@ -141,7 +138,9 @@ def test_frozen_matrices_give_the_step(stability: str, scheduling: str, untraine
     assert model.matrices(x).A.shape == (3, 3)
 
 
-@pytest.mark.parametrize("kind", [("schur", "x"), ("contraction", "x+u"), ("schur", "x+u+y"), ("none", "x+y")])
+@pytest.mark.parametrize(
+    "kind", [("schur", "x"), ("quadratic", "x+u"), ("schur", "x+u+y"), ("none", "x+y"), ("incremental", "x+u")]
+)
 def test_control_responds_as_simulate(kind: tuple[str, str], untrained: Callable[..., TrainedModel]) -> None:
     model = untrained(*kind, 3, 2, 2)
     u, y_init = signals(model)
@@ -154,7 +153,7 @@ def test_control_responds_as_simulate(kind: tuple[str, str], untrained: Callable
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 def test_linearisation_at_an_equilibrium(scheduling: str, untrained: Callable[..., TrainedModel]) -> None:
     """Its DC gain is the slope of the static curve; the curve is where simulations come to rest."""
-    model = untrained("contraction", scheduling, 3, 2, 2)
+    model = untrained("quadratic", scheduling, 3, 2, 2)
     u, h = np.array([0.4, -0.8]), 1e-4
     at = model.equilibrium(u)
     np.testing.assert_allclose(model.system.advance(at.z, u)[0], at.z, atol=1e-9)
