@@ -29,7 +29,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -355,6 +355,9 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="*", default=[], help="draw from these files or groups alone, --sample from each"
     )
+    parser.add_argument(
+        "--tests", nargs="*", default=[], help="files of tests that judge alone: a lower bound, soon had"
+    )
     options = parser.parse_args()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -378,6 +381,11 @@ def main() -> None:
         for position, folder in enumerate(FOLDERS):
             count = (options.sample + position) // len(FOLDERS)
             groups |= {folder: sampled(folder, count, options.seed)} if count else {}
+    if options.tests:
+        groups = {
+            name: [mutant if mutant.named else replace(mutant, tests=tuple(options.tests)) for mutant in mutants]
+            for name, mutants in groups.items()
+        }
     began = time.monotonic()
     verdicts: dict[str, list[Verdict]] = {}
     with tempfile.TemporaryDirectory(prefix="nnss-mutants-") as temporary:
