@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
@@ -28,8 +29,9 @@ from nnss_cli.report.aggregate import (
     summary,
     validation_error,
 )
-from nnss_cli.report.build import record_lengths, starts, transient
+from nnss_cli.report.build import _boxplot, record_lengths, starts, transient
 from nnss_cli.report.evidence import intervals, optimism
+from nnss_cli.report.figures import close_figure
 from nnss_cli.report.listing import group_rows, run_rows
 from nnss_cli.report.simulation import draw_simulated, error_rows, titled
 from nnss_cli.report.statistics import quartile_interval, verdict
@@ -253,6 +255,30 @@ def test_a_long_records_zoom_is_a_twelfth_of_it_and_sixty_samples_at_least() -> 
     assert (lengths, starts([3, 5, 2]), starts([4])) == ([3, 5], [3, 8], [])
 
 
+@pytest.mark.parametrize(
+    ("runs", "title", "panels"),
+    [
+        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation RMSE over 1 seed",
+         ["validation RMSE,\nlevel [m]"]),
+        ([run(seed=s, val=0.2, test=0.3) for s in range(2)], "tank (protocol strict): test RMSE over 2 seeds",
+         ["test RMSE,\nlevel [m]"]),
+        ([run(val=0.2, test=0.3), run(seed=1)],
+         "tank (protocol strict): test RMSE over 2 seeds\nnot drawn, without a result: 1 of 2 NN-SS, n = 2",
+         ["test RMSE,\nlevel [m]"]),
+        ([run(channels=TWO, val=[0.1, 0.1], a=[0.2, 0.3], b=[0.4, 0.5])],
+         "tank (protocol strict): test RMSE over 1 seed",
+         ["test a RMSE,\nlevel [m]", "test a RMSE,\nflow", "test b RMSE,\nlevel [m]", "test b RMSE,\nflow"]),
+    ],
+)  # fmt: skip
+def test_a_box_plot_says_whose_errors_it_shows(runs: list[RunResult], title: str, panels: list[str]) -> None:
+    figure = _boxplot(runs)
+    assert figure is not None
+    assert figure.get_suptitle() == title
+    assert [axis.get_ylabel() for axis in figure.axes] == panels
+    close_figure(figure)
+    assert _boxplot([run()]) is None
+
+
 # what has been kept
 
 
@@ -294,10 +320,6 @@ def test_errors_of_a_simulated_file_have_their_outputs_name() -> None:
 
 
 def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below() -> None:
-    from nnss_cli.datasets.record import Channels
-
-    from nnss_cli.report.figures import close_figure
-
     channels = Channels(("a", "b"), ("x", "y"), ("V", "–"), ("m", "K"))
     time, u, y = np.arange(4) / 2, np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2) + 10
     figure = draw_simulated(time, u, y, y + 1, channels, "the model", "predicted", (y - 2, y + 2, "90 %"))
