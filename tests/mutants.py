@@ -150,7 +150,10 @@ def places(file: str) -> dict[Place, list[tuple[str, int]]]:
 
 
 def mutant_of(file: str, operator: str, occurrence: int, place: Place) -> Mutant | None:
-    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated."""
+    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated.
+
+    Nor is `is` for `==` beside a literal another program.
+    """
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
@@ -179,7 +182,17 @@ def _program(text: str) -> str:
             node.annotation = None
         elif isinstance(node, ast.AnnAssign):
             node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            node.ops = [_equality(*each) for each in zip(node.ops, sides, sides[1:], strict=False)]
     return ast.dump(tree)
+
+
+def _equality(op: ast.cmpop, *sides: ast.expr) -> ast.cmpop:
+    """`is` beside a literal word or whole number is `==`: CPython keeps one object of each such."""
+    if any(isinstance(side, ast.Constant) and type(side.value) in (str, int) for side in sides):
+        return {ast.Is: ast.Eq, ast.IsNot: ast.NotEq}.get(type(op), type(op))()
+    return op
 
 
 def sampled(folder: str, count: int, seed: int) -> list[Mutant]:

@@ -34,7 +34,7 @@ from nnss_cli.report.evidence import intervals, optimism
 from nnss_cli.report.figures import close_figure
 from nnss_cli.report.listing import group_rows, run_rows
 from nnss_cli.report.simulation import draw_simulated, error_rows, titled
-from nnss_cli.report.statistics import quartile_interval, verdict
+from nnss_cli.report.statistics import quartile_interval, ratio, verdict
 from nnss_cli.testing import small_dataset
 
 ONE = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
@@ -232,6 +232,15 @@ def test_reproduced_is_within_a_tenth_or_half_a_printed_unit(
     ours: float, theirs: float, unit: float, word: str
 ) -> None:
     assert verdict(ours, theirs, unit) == word
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "found"),
+    [([0.0], [0.0], 1.0), ([2.0], [0.0], math.inf), ([0.0], [2.0], 0.0), ([1.0], [math.inf], 0.0), ([3.0], [2.0], 1.5),
+     ([math.inf], [1.0], math.inf), ([math.inf], [math.inf], math.nan)],
+)  # fmt: skip
+def test_a_ratio_of_nothing_and_of_failures_is_said(first: list[float], second: list[float], found: float) -> None:
+    assert ratio(first, second) == pytest.approx(found, nan_ok=True)
 
 
 def test_a_notch_is_157_hundredths_of_the_quartiles_distance_over_the_root() -> None:
