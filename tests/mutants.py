@@ -29,7 +29,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -150,7 +150,10 @@ def places(file: str) -> dict[Place, list[tuple[str, int]]]:
 
 
 def mutant_of(file: str, operator: str, occurrence: int, place: Place) -> Mutant | None:
-    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated."""
+    """The mutant, or None where there is none or it is the same program: an annotation's text is never evaluated.
+
+    Nor is `is` for `==` beside a literal another program.
+    """
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
@@ -179,7 +182,17 @@ def _program(text: str) -> str:
             node.annotation = None
         elif isinstance(node, ast.AnnAssign):
             node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            node.ops = [_equality(*each) for each in zip(node.ops, sides, sides[1:], strict=False)]
     return ast.dump(tree)
+
+
+def _equality(op: ast.cmpop, *sides: ast.expr) -> ast.cmpop:
+    """`is` beside a literal word or whole number is `==`: CPython keeps one object of each such."""
+    if any(isinstance(side, ast.Constant) and type(side.value) in (str, int) for side in sides):
+        return {ast.Is: ast.Eq, ast.IsNot: ast.NotEq}.get(type(op), type(op))()
+    return op
 
 
 def sampled(folder: str, count: int, seed: int) -> list[Mutant]:
@@ -355,6 +368,9 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="*", default=[], help="draw from these files or groups alone, --sample from each"
     )
+    parser.add_argument(
+        "--tests", nargs="*", default=[], help="files of tests that judge alone: a lower bound, soon had"
+    )
     options = parser.parse_args()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -378,6 +394,11 @@ def main() -> None:
         for position, folder in enumerate(FOLDERS):
             count = (options.sample + position) // len(FOLDERS)
             groups |= {folder: sampled(folder, count, options.seed)} if count else {}
+    if options.tests:
+        groups = {
+            name: [mutant if mutant.named else replace(mutant, tests=tuple(options.tests)) for mutant in mutants]
+            for name, mutants in groups.items()
+        }
     began = time.monotonic()
     verdicts: dict[str, list[Verdict]] = {}
     with tempfile.TemporaryDirectory(prefix="nnss-mutants-") as temporary:

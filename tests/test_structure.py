@@ -5,6 +5,7 @@ import importlib
 import pkgutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from collections.abc import Callable
 from dataclasses import is_dataclass
@@ -184,3 +185,12 @@ def test_no_code_outside_a_datasets_own_file_knows_its_name() -> None:
         if node.value == name
     }
     assert known == set()
+
+
+def test_the_faults_that_reviews_made_by_hand_are_still_to_be_made() -> None:
+    """`make mutants` puts each where its text stands once, and asks its test."""
+    for entry in tomllib.loads((ROOT / "tests/mutants.toml").read_text(encoding="utf-8"))["mutant"]:
+        found = (ROOT / entry["file"]).read_text(encoding="utf-8").count(entry["old"])
+        assert found == 1, f"{entry['name']}: {found} times in {entry['file']}"
+        file, _, name = entry["test"].partition("::")
+        assert f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8"), entry["test"]

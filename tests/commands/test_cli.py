@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -45,7 +46,8 @@ def test_version_and_help(nnss: Callable) -> None:
 
 def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     pytest.importorskip("optuna")
-    call = ("tune", "twotank-sim", "--order", "2", "--epochs", "2", "--window", "40", "--trials", "2")
+    few = ("--stride", "100", "--epochs", "2")  # windows, whatever their batches
+    call = ("tune", "twotank-sim", "--order", "2", *few, "--window", "40", "--trials", "2")
     outcome = nnss(*call)
     assert outcome.code == 0, outcome.err
     assert Path("results/twotank-sim/paper/tune/order-2.db").exists()
@@ -53,7 +55,7 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     assert outcome.code == 0, outcome.err
     assert "best of 4 trials" in outcome.out
     line = next(line for line in outcome.out.splitlines() if "nnss train" in line)
-    trained = nnss(*line.partition("nnss ")[2].split(), "--epochs", "1", "--window", "40")
+    trained = nnss(*line.partition("nnss ")[2].split(), *few, "--window", "40")
     assert trained.code == 0, trained.err
     refused = nnss(*call[:-4], "--window", "50", "--trials", "2")
     assert refused.code == 2
@@ -63,16 +65,22 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
 @pytest.mark.parametrize(
     "study", ["class", *(pytest.param(name, marks=pytest.mark.slow) for name in ("recipe", "stability"))]
 )
-def test_studies(nnss: Callable, study: str) -> None:
-    call = ("ablate", "twotank-sim", "--study", study, "--orders", "2", "--seeds", "1", "--epochs", "2", "--jobs", "1")
-    outcome = nnss(*call)
+def test_studies(nnss: Callable, study: str, small_data: Callable) -> None:
+    dataset = small_data(K=450)
+    records = (*dataset.fitting.train, *dataset.fitting.val, *dataset.tests["test"])
+    signals = {name: np.concatenate([getattr(record, name)[:, 0] for record in records]) for name in "uy"}
+    pd.DataFrame(signals).to_csv("short.csv", index=False)
+    record = ("short.csv", "--inputs", "u", "--outputs", "y", "--ts", "0.5")
+    call = ("ablate", *record, "--orders", "2", "--seeds", "1", "--epochs", "2", "--jobs", "1", "--study")
+    outcome = nnss(*call, study)
     assert outcome.code == 0, outcome.err
-    text = Path(f"results/twotank-sim/paper/study-{study}.md").read_text()
+    (page,) = Path("results/short").glob(f"*/study-{study}.md")
+    text = page.read_text()
     assert ("quadratic" in text) == (study == "stability")
-    again = nnss(*call)
+    again = nnss(*call, study)
     assert ": 0 runs to do" in again.out
-    assert Path(f"results/twotank-sim/paper/study-{study}.md").read_text() == text
-    assert nnss(*call[:3], "magic", *call[4:]).code == 2
+    assert page.read_text() == text
+    assert nnss(*call, "magic").code == 2
 
 
 def test_python_dash_m() -> None:

@@ -315,9 +315,8 @@ def test_an_order_is_good_enough_within_five_percent(second: float, chosen: int)
     assert suggest_order(rows) == chosen
 
 
-def test_damaged_runs_are_named(tmp_path: Path) -> None:
-    store = store_for(tmp_path)
-    run_all(store, seeds=1)
+def test_damaged_runs_are_named(finished: Store) -> None:
+    store = finished
     path = store.folder / "runs" / "nnss-n2-s0" / "run.json"
     path.write_text("{}")
     with pytest.raises(InputError, match="nnss-n2-s0"):

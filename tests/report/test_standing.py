@@ -53,6 +53,11 @@ def test_a_ratio_is_of_medians_with_the_interval_over_seeds() -> None:
     assert row["nnss: RMSE/σ"] == "11"
 
 
+def test_an_order_at_which_the_method_was_not_run_hides_no_other() -> None:
+    runs = [*seeds("a", "ssest", 2, TEN), *seeds("a", "nnss", 3, TEN), *seeds("a", "ssest", 3, TEN)]
+    assert [row["order"] for row in rows(effects(runs, "test"))] == ["3"]
+
+
 def test_few_seeds_settle_nothing() -> None:
     runs = [*seeds("a", "nnss", 3, TEN[:3]), *seeds("a", "n4sid", 3, [20.0])]
     (row,) = rows(effects(runs, "test"))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nnss_cli.datasets.record import Channels
 from nnss_cli.datasets.units import titled
 
 from nnss_cli.experiment.ablation import Variant
@@ -30,11 +31,12 @@ from nnss_cli.report.aggregate import (
     summary,
     validation_error,
 )
-from nnss_cli.report.build import record_lengths, starts, transient
+from nnss_cli.report.build import _boxplot, record_lengths, starts, transient
 from nnss_cli.report.evidence import intervals, optimism
+from nnss_cli.report.figures import close_figure
 from nnss_cli.report.listing import group_rows, run_rows
 from nnss_cli.report.simulation import draw_simulated, error_rows
-from nnss_cli.report.statistics import quartile_interval, verdict
+from nnss_cli.report.statistics import quartile_interval, ratio, verdict
 from nnss_cli.report.tables import error_tables, options_apart, rmse_markdown
 from nnss_cli.testing import small_dataset
 
@@ -235,6 +237,15 @@ def test_reproduced_is_within_a_tenth_or_half_a_printed_unit(
     assert verdict(ours, theirs, unit) == word
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "found"),
+    [([0.0], [0.0], 1.0), ([2.0], [0.0], math.inf), ([0.0], [2.0], 0.0), ([1.0], [math.inf], 0.0), ([3.0], [2.0], 1.5),
+     ([math.inf], [1.0], math.inf), ([math.inf], [math.inf], math.nan)],
+)  # fmt: skip
+def test_a_ratio_of_nothing_and_of_failures_is_said(first: list[float], second: list[float], found: float) -> None:
+    assert ratio(first, second) == pytest.approx(found, nan_ok=True)
+
+
 def test_a_notch_is_157_hundredths_of_the_quartiles_distance_over_the_root() -> None:
     assert quartile_interval(10.0, 8.0, 12.0, 4) == pytest.approx((10 - 3.14, 10 + 3.14))
 
@@ -254,6 +265,30 @@ def test_a_long_records_zoom_is_a_twelfth_of_it_and_sixty_samples_at_least() -> 
     assert found.start < 700 < found.stop
     lengths = record_lengths({"val/0/y": np.zeros((3, 1)), "val/1/y": np.zeros((5, 1)), "val/1/x": np.zeros(1)}, "val")
     assert (lengths, starts([3, 5, 2]), starts([4])) == ([3, 5], [3, 8], [])
+
+
+@pytest.mark.parametrize(
+    ("runs", "title", "panels"),
+    [
+        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation RMSE over 1 seed",
+         ["validation RMSE,\nlevel [m]"]),
+        ([run(seed=s, val=0.2, test=0.3) for s in range(2)], "tank (protocol strict): test RMSE over 2 seeds",
+         ["test RMSE,\nlevel [m]"]),
+        ([run(val=0.2, test=0.3), run(seed=1)],
+         "tank (protocol strict): test RMSE over 2 seeds\nnot drawn, without a result: 1 of 2 NN-SS, n = 2",
+         ["test RMSE,\nlevel [m]"]),
+        ([run(channels=TWO, val=[0.1, 0.1], a=[0.2, 0.3], b=[0.4, 0.5])],
+         "tank (protocol strict): test RMSE over 1 seed",
+         ["test a RMSE,\nlevel [m]", "test a RMSE,\nflow", "test b RMSE,\nlevel [m]", "test b RMSE,\nflow"]),
+    ],
+)  # fmt: skip
+def test_a_box_plot_says_whose_errors_it_shows(runs: list[RunResult], title: str, panels: list[str]) -> None:
+    figure = _boxplot(runs)
+    assert figure is not None
+    assert figure.get_suptitle() == title
+    assert [axis.get_ylabel() for axis in figure.axes] == panels
+    close_figure(figure)
+    assert _boxplot([run()]) is None
 
 
 # what has been kept
@@ -297,10 +332,6 @@ def test_errors_of_a_simulated_file_have_their_outputs_name() -> None:
 
 
 def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below() -> None:
-    from nnss_cli.datasets.record import Channels
-
-    from nnss_cli.report.figures import close_figure
-
     channels = Channels(("a", "b"), ("x", "y"), ("V", "–"), ("m", "K"))
     time, u, y = np.arange(4) / 2, np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2) + 10
     figure = draw_simulated(time, u, y, y + 1, channels, "the model", "predicted", (y - 2, y + 2, "90 %"))
