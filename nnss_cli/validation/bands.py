@@ -45,8 +45,14 @@ class Band:
     """Number of blocks n of each output."""
     length: tuple[int, ...]
     """Samples b of a block, of each output."""
+    memory: tuple[int, ...]
+    """Samples that the errors of each output remember: where blocks had to be shorter, they are not exchangeable."""
     floor: FloatArray | None
     """Smallest spread (m,), where the band follows an ensemble's; None where s(k) = 1."""
+
+    def assured(self, output: int) -> bool:
+        """Whether the blocks of an output are long enough for what the band promises."""
+        return self.length[output] >= self.memory[output]
 
     def limits(self, predicted: FloatArray, spread: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Lower and upper limit (K, m).
@@ -84,8 +90,8 @@ def calibrate(errors: Sequence[FloatArray], level: float, spreads: Sequence[Floa
         floor = np.maximum(floor, np.finfo(float).tiny)
         errors = [part / (spread + floor) for part, spread in zip(errors, spreads, strict=True)]
     found = [_half_width([np.abs(part[:, i]) for part in errors], level, needed) for i in range(errors[0].shape[1])]
-    widths, counts, lengths = zip(*found, strict=True)
-    return Band(level, np.array(widths), counts, lengths, floor)
+    widths, counts, lengths, memories = zip(*found, strict=True)
+    return Band(level, np.array(widths), counts, lengths, memories, floor)
 
 
 def memory(parts: Sequence[FloatArray]) -> int:
@@ -99,10 +105,14 @@ def memory(parts: Sequence[FloatArray]) -> int:
     return max(1, math.ceil(1 + 2 * float(np.sum(r[: ends[0] if len(ends) else len(r)])) - 1e-9))
 
 
-def _half_width(scores: Sequence[FloatArray], level: float, needed: int) -> tuple[float, int, int]:
-    """q of one output, the number of blocks and their length: the scores' memory, or less where blocks would be few."""
-    samples = sum(map(len, scores))
-    length = max(1, min(memory(scores), samples // needed))
+def _half_width(scores: Sequence[FloatArray], level: float, needed: int) -> tuple[float, int, int, int]:
+    """q of one output, the number of blocks, their length and the scores' memory.
+
+    Blocks are as long as the memory. Where there would be too few, no finite q is assured: shorter ones give the
+    largest error instead.
+    """
+    samples, remembered = sum(map(len, scores)), memory(scores)
+    length = max(1, min(remembered, samples // needed))
     while True:  # what is left of a record beyond whole blocks may cost one that is needed
         blocks = np.concatenate([part[: len(part) // length * length].reshape(-1, length) for part in scores])
         if len(blocks) >= needed or length == 1:
@@ -111,5 +121,5 @@ def _half_width(scores: Sequence[FloatArray], level: float, needed: int) -> tupl
     n = len(blocks)
     allowed = ((1 - level) * (n + 1) - 1) / n  # mean share outside
     ordered = np.sort(blocks.ravel())
-    outside = math.floor(allowed * len(ordered) + 1e-9)
-    return float(ordered[len(ordered) - 1 - outside]), n, length
+    outside = math.floor(allowed * len(ordered) + 1e-9) if length >= remembered else 0
+    return float(ordered[len(ordered) - 1 - outside]), n, length, remembered

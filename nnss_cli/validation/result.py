@@ -138,5 +138,6 @@ def as_dict(found: Validation) -> dict[str, object]:
         "band": None if band is None else plain({
             "level": band.band.level, "half_width": band.band.half_width, "held": band.held,
             "blocks": band.band.blocks, "block_samples": band.band.length,
+            "error_memory": band.band.memory,
         }),
     }  # fmt: skip

@@ -106,9 +106,16 @@ class Limits:
             seen = "" if self.held is None else f"; it holds {100 * self.held[i]:.1f} % here"
             lines.append(
                 f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
-                f"the validation record{seen}"
+                f"the validation record{self._doubt(i)}{seen}"
             )
         return lines
+
+    def _doubt(self, output: int) -> str:
+        if self.band.assured(output):
+            return ""
+        return (
+            f", whose errors remember {self.band.memory[output]}: it is too short to assure {100 * self.band.level:g} %"
+        )
 
 
 def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:

@@ -15,6 +15,7 @@ from nnss_cli.validation.bands import calibrate, memory
 from nnss_cli.validation.gain import estimate_gain
 from nnss_cli.validation.predictor import Predictor
 from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.trained import Limits
 
 
 def noise(pole: float, samples: int, seed: int) -> np.ndarray:
@@ -65,6 +66,25 @@ def test_few_blocks_make_a_wider_band_not_one_that_holds_less(level: float) -> N
         e = noise(0.9, 1200, seed)
         held.append(np.mean(np.abs(e[200:]) <= calibrate([e[:200]], level).half_width))
     assert np.mean(held) >= level
+
+
+def test_a_record_too_short_for_its_memory_is_told(linear: LinearModel) -> None:
+    """Nine blocks of 50 samples are shorter than what AR noise of pole 0.97 remembers: 90 % are not held."""
+    held, told = [], []
+    for seed in range(200):
+        e = noise(0.97, 1250, seed)
+        band = calibrate([e[:50]], 0.9)
+        assert band.assured(0) or band.half_width == np.abs(e[: band.blocks[0] * band.length[0]]).max()
+        held.append(np.mean(np.abs(e[250:]) <= band.half_width))
+        told.append(not band.assured(0))
+    assert np.mean(held) < 0.88
+    assert np.mean(told) > 0.6
+    doubted = calibrate([noise(0.97, 50, int(np.argmax(told)))], 0.9)
+    (line,) = Limits.of(doubted, np.zeros((9, 1)), None, None, 1).told(linear.channels)
+    assert f"whose errors remember {doubted.memory[0]}: it is too short to assure 90 %" in line
+    long = calibrate([noise(0.97, 2000, 0)], 0.9)
+    assert long.assured(0)
+    assert long.length == long.memory
 
 
 def test_the_level_orders_the_bands_and_the_units_scale_them() -> None:
