@@ -77,7 +77,7 @@ def draw_boxplot(
                 panel.set_title(titles[name], fontsize="medium")
         handles = [_legend_entry(looks[method], method in boxed) for method in methods]
         _legend(figure, handles, 3 if across == 1 else 4 if across == 2 else 6)
-        figure.suptitle(textwrap.fill(title, int(width * 15)) if look.width else title, fontsize="large")
+        figure.suptitle(_wrapped(title, width), fontsize="large")
     return figure
 
 
@@ -107,6 +107,11 @@ def _draw_boxes(
     panel.set_xlim(-0.6, len(orders) - 0.4)
     panel.set_yscale("log")
     _few_log_ticks(panel)
+
+
+def _wrapped(title: str, width: float) -> str:
+    """A title in lines that fit into so many inches."""
+    return "\n".join(textwrap.fill(line, int(width * 12.5)) for line in title.splitlines())
 
 
 def _legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
@@ -215,7 +220,7 @@ def draw_simulation(
             panel.set_xlabel(f"time [{time_unit}]")
         figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
         _legend(figure, panels[0, 0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
-        figure.suptitle(textwrap.fill(title, int(width * 13)), fontsize="large")
+        figure.suptitle(_wrapped(title, width), fontsize="large")
     return figure
 
 
@@ -298,8 +303,7 @@ def draw_states(
             panel.yaxis.set_major_locator(MaxNLocator(3))
         figure.align_ylabels()
         panels[-1, 0].set_xlabel(f"time [{time_unit}]")
-        width = int((look.width or 7.2) * 13)
-        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize="large")
+        figure.suptitle(_wrapped(title, look.width or 7.2), fontsize="large")
     return figure
 
 
