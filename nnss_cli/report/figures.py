@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
@@ -65,8 +66,9 @@ def draw_boxplot(
     looks = styles_of(methods)
     boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
     with plt.rc_context(look.style):
-        figure, panels = plt.subplots(down, across, figsize=(width, height), squeeze=False, layout="constrained")
-        figure.get_layout_engine().set(w_pad=0.08, h_pad=0.06)
+        figure, panels = plt.subplots(
+            down, across, figsize=(width, height), squeeze=False, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+        )
         for panel in panels.flat[len(values) :]:
             panel.remove()
         for panel, (name, by_method) in zip(panels.flat, values.items(), strict=False):
