@@ -24,7 +24,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullForm
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.files import write_atomically
-from nnss_cli.report.dense import envelope, is_dense, thinned
+from nnss_cli.report.dense import envelope, is_dense, rms, thinned
 from nnss_cli.report.style import (
     MEASURED,
     SCREEN,
@@ -169,7 +169,7 @@ def draw_simulation(
         zoom: samples of the second column; None for none. In a single column of a paper there is no room for it.
         breaks: samples at which another record begins.
         inputs: name and samples (K,) of each, in panels below; several share one, each over its range.
-        residuals: whether a panel below each output shows measured minus simulated.
+        residuals: whether a panel below each output shows measured minus simulated; of an envelope its rms.
         look: size of the figure.
     """
     m = measured.shape[1]
@@ -200,11 +200,12 @@ def draw_simulation(
                     draw_line(panel, t, y[part, i], dense, label=f"{looks[method].label} {detail}", **style)
                     if residuals:
                         error = measured[part, i] - y[part, i]
-                        draw_line(panels[row + 1, column], t, error, dense, **style | {"linewidth": 0.9})
+                        style = style | {"linewidth": 0.9}
+                        panels[row + 1, column].plot(*(rms(t, error) if dense else thinned(t, error)), **style)
                 panel.set_ylabel(textwrap.fill(str(outputs[i]), 24))
                 if residuals:
                     panels[row + 1, column].axhline(0, color="0.3", linewidth=0.6)
-                    panels[row + 1, column].set_ylabel("residual" + _unit(outputs[i]))
+                    panels[row + 1, column].set_ylabel(f"residual{', rms' * dense}{_unit(outputs[i])}")
             if inputs:
                 _draw_inputs(panels[-1, column], t, [(axis, u[part]) for axis, u in inputs])
             if bands:
