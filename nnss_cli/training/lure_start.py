@@ -1,15 +1,17 @@
 """Start an incrementally stable layer at a linear or Lur'e model: find the norm in which it keeps the promise.
 
-P of V(Δx) = ΔxᵀPΔx and the multiplier come from the bounded real lemma of the loop about the units' middle slope: with
-v = ½Gx (and y/Γ) as outputs and the units' (and u) as inputs, the Riccati equation's solution makes K of
-`nnss_cli.baselines.incremental` a contraction in the basis T with TᵀT = P. What is infeasible is drawn in by the
-fewest doublings of `INSIDE`. The layer's other units start without effect, where the margin of K leaves them room.
+A linear model gets a basis in which its norm lies midway between ρ(A) and γ. For a Lur'e model P of V(Δx) = ΔxᵀPΔx and
+the multiplier come from the bounded real lemma of the loop about the units' middle slope: with v = ½Gx (and y/Γ) as
+outputs and the units' (and u) as inputs, the Riccati equation's solution makes K of `nnss_cli.baselines.incremental` a
+contraction in the basis T with TᵀT = P. What is infeasible is drawn in by the fewest doublings of `INSIDE`. The layer's
+other units start without effect, where the margin of K leaves them room.
 
 Source: C. E. de Souza and L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(1), 1992.
 """
 
 from __future__ import annotations
 
+import math
 from typing import cast
 
 import numpy as np
@@ -27,7 +29,7 @@ from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers
 SLOPES = 0.5, 4.0  # of a unit, per deviation of what it sees
 MARGINS = np.geomspace(1e-7, 1, 15)
 WEIGHTS = np.geomspace(1e-2, 1e2, 9)
-SHARE = 0.5  # of the room that K leaves, for the units without effect
+SHARE = 0.9  # of the room that K leaves, for the units without effect
 DOUBLINGS = 14
 
 
@@ -117,8 +119,9 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, fl
     """
     n, r, p = len(plain.A), plain.B.shape[1], len(plain.G)
     if not p and not a.gain:
-        try:
-            return contracting_basis(plain.A, a.gamma), 1.0
+        radius = float(np.abs(np.linalg.eigvals(plain.A)).max())
+        try:  # half of what the radius leaves is room for the units then, in all directions
+            return contracting_basis(plain.A, math.sqrt((radius**2 + a.gamma**2) / 2)), 1.0
         except InputError:
             return None
     A, F = (plain.A + plain.F @ plain.G / 2) / a.gamma, plain.F / a.gamma
