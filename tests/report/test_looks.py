@@ -121,7 +121,7 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
 def test_seeds_are_told_of_methods_that_have_some(result: Callable) -> None:
     def title(*methods: str) -> str:
         figure = _boxplot([result(name, seed) for name in methods for seed in range(3 if name == "nnss" else 1)])
-        text = figure.get_suptitle()
+        text = " ".join(figure.get_suptitle().split())  # it may be in lines
         figures.close_figure(figure)
         return text.partition("RMSE")[2]
 

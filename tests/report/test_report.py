@@ -110,7 +110,7 @@ def test_runs_without_a_result_count() -> None:
 
 def boxplot_title(results: list[RunResult]) -> str:
     figure = _boxplot(results)
-    title = figure.get_suptitle()
+    title = " ".join(figure.get_suptitle().split())  # it may be in lines
     close_figure(figure)
     return title
 
