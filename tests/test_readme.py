@@ -1,4 +1,4 @@
-"""README's lines for SLURM: the arguments exist, and a job starts a worker as `--executor dask` wants it. None is sent."""
+"""README's lines for SLURM: the arguments exist, and a job starts a worker as `--executor dask` wants it."""
 
 import re
 from pathlib import Path

@@ -57,9 +57,9 @@ def executed(
 
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.executor import NO_LIMITS, Executor, Serial
+    from nnss_cli.experiment.outcomes import results
     from nnss_cli.experiment.processes import Processes
     from nnss_cli.experiment.store import Store
-    from nnss_cli.experiment.sweep import results
     from nnss_cli.plugins import in_use, use
     from nnss_cli.version import __version__
 

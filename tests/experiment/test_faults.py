@@ -22,10 +22,11 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Serial, Task
 from nnss_cli.experiment.interrupt import deferred, interruptible
 from nnss_cli.experiment.lock import lock
+from nnss_cli.experiment.outcomes import results
 from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
-from nnss_cli.experiment.sweep import plan, results, sweep
+from nnss_cli.experiment.sweep import plan, sweep
 from nnss_cli.methods import select
 from nnss_cli.plugins import read_source, use
 
