@@ -17,7 +17,8 @@ prepare()
 import numpy as np
 
 import nnss_cli as nnss
-from nnss_cli.report.figures import STYLE, plt, save_figure
+from nnss_cli.report.figures import plt, save_figure
+from nnss_cli.report.style import STYLE
 from nnss_cli.trained.linear import Frozen
 
 

@@ -115,6 +115,15 @@ def compare(
 
     Raises:
         InputError: whatever is wrong with the files or arguments, in one line.
+
+    Example:
+        >>> study = compare(
+        ...     "plant.csv", inputs=["u"], outputs=["y"], Ts=0.1, orders=[1, 2], seeds=1, methods=["n4sid", "ssregest"]
+        ... )
+        >>> [(result.spec.method, result.spec.order, result.status) for result in study.results]
+        [('n4sid', 1, 'ok'), ('n4sid', 2, 'ok'), ('ssregest', 1, 'ok'), ('ssregest', 2, 'ok')]
+        >>> study.best(order=2).order
+        2
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
     if seeds < 1 or jobs < 1:
@@ -155,6 +164,11 @@ def fit(
     Raises:
         InputError: whatever is wrong with the files or arguments.
         NoModelError: the fit diverged or could not be done; the message says why.
+
+    Example:
+        >>> model = fit("plant.csv", 2, method="n4sid", inputs=["u"], outputs=["y"], Ts=0.1)
+        >>> model.simulate([0.0, 1.0, 1.0, 0.0]).y.shape  # at rest under the first input
+        (4, 1)
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
     (chosen, *_) = select([method])
@@ -178,6 +192,11 @@ def inspect(files: str | Path | Sequence[str | Path], **record: Any) -> Seen:
 
     Raises:
         InputError: a file cannot be read, or has no such column.
+
+    Example:
+        >>> seen = inspect("plant.csv", inputs=["u"], outputs=["y"], Ts=0.1)
+        >>> [channel.name for channel in seen.found.channels]
+        ['u', 'y']
     """
     return examine_files(_names(files), _described(record))
 

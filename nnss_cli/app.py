@@ -31,7 +31,7 @@ from nnss_cli.commands import (
     tune,
     validate,
 )
-from nnss_cli.commands.options import with_plugins
+from nnss_cli.commands.options import with_output, with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.interrupt import EXIT_CODE, interruptible
@@ -64,7 +64,7 @@ for _name, _module, _example in (
     ("report", report, "nnss report --out results"),
     ("methods", methods, "nnss methods --plugin my_method.py"),
 ):
-    app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(with_plugins(_module.command))
+    app.command(_name, cls=VariadicCommand, epilog=f"Example: {_example}")(with_plugins(with_output(_module.command)))
 
 
 app.add_typer(results.app, name="results")

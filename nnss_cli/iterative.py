@@ -1,9 +1,11 @@
-"""What iterative fits share: seeded streams by name, and early stopping."""
+"""What iterative fits share: seeded streams by name, early stopping, and a word on what they are waiting for."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,25 @@ PATIENCE_UNITS = ("epochs", "steps")
 
 EpochCallback = Callable[[int, float, float], None]
 """Called after each epoch with its number, training loss and validation error."""
+
+
+_TELL: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
+
+
+@contextlib.contextmanager
+def waits_told(tell: Callable[[str], None]) -> Iterator[None]:
+    """Within it `tell` hears what a fit is at while it has no epochs to show."""
+    token = _TELL.set(tell)
+    try:
+        yield
+    finally:
+        _TELL.reset(token)
+
+
+def waiting_for(what: str) -> None:
+    """Say what a fit is at, before something that takes seconds and shows nothing."""
+    if (tell := _TELL.get()) is not None:
+        tell(what)
 
 
 @dataclass

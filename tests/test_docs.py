@@ -65,3 +65,37 @@ def test_frozen_gain_against_linearised_gain(nnss: Callable, mirror: Path) -> No
     assert f"a DC gain of {frozen:.4f} m/V; the linearisation" in text
     assert f"slope of the static curve have {model.linearise(5.0).dcgain().item():.4f} m/V" in text
     assert f"{slope:.4f}" == f"{model.linearise(5.0).dcgain().item():.4f}"
+
+
+def cells(text: str) -> dict[tuple[str, str], list[str]]:
+    """Rows of a table of `compare` by order and method."""
+    rows = (line.split() for line in text.splitlines())
+    return {(row[0], row[1]): row[2:] for row in rows if len(row) == 9 and row[0].isdigit()}
+
+
+@pytest.mark.slow
+def test_the_quick_start_runs_and_prints_what_it_says(nnss: Callable) -> None:
+    """Commands as they stand; linear methods to two digits, NN-SS (two seeds, other processors) within a factor."""
+    text = (DOCS / "quickstart.md").read_text(encoding="utf-8")
+    told, errors, codes = "", "", []
+    for language, block in BLOCK.findall(text):
+        if language == "python":
+            exec(compile(block, "docs/quickstart.md", "exec"), {})
+            continue
+        for line in block.splitlines():
+            done = nnss(*shlex.split(line)[1:], *(["--jobs", "1"] if " compare " in line else []))
+            told, errors = told + done.out, errors + done.err
+            codes.append((line.split()[1], done.code))
+    assert codes == [("inspect", 0), ("compare", 0), ("validate", 1), ("simulate", 0), ("certify", 0), ("export", 0)]
+    shown, found = cells(text), cells(told)
+    assert shown.keys() == found.keys()
+    for key, row in shown.items():
+        for said, is_so in zip(row[1:4], found[key][1:4], strict=True):
+            near = 0.02 if key[1] != "nnss" else 1.0
+            assert float(is_so) == pytest.approx(float(said), rel=near), (key, said, is_so)
+    for said in ("foretell 11 % of what a linear model leaves", "67 % of input 'pump'", "of 4 tests fail"):
+        assert said in text
+        assert said in " ".join(told.split())
+    assert Path("firmware/model.c").exists()
+    assert Path("predicted.csv").exists()
+    assert Path("results/plant/inspection.png").exists()

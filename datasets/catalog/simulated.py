@@ -61,7 +61,7 @@ def load(path: Path | None, protocol: str) -> Dataset:
 BENCHMARK = Benchmark(
     name="twotank-sim",
     title="Two-tank system, embedded simulation",
-    citation="nnss, datasets/simulated.py",
+    citation="nnss, datasets/catalog/simulated.py",
     orders=(2, 3, 4),
     sources=(),
     cached_as="",

@@ -11,7 +11,6 @@ from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
 
-@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -42,6 +41,7 @@ def command(
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_study
+    from nnss_cli.report.simulation import titled
     from nnss_cli.report.tables import study_rows
 
     workers = opt.check_counts(seeds, jobs)
@@ -59,7 +59,10 @@ def command(
         planned, lambda _: None,
         lambda result: emit("result", run=name_of(result.spec), status=result.status, reason=result.reason),
     )  # fmt: skip
-    print_rows(study_rows(found), f"{data.name}, protocol {data.protocol}: {study}, RMSE, median over seeds")
+    channels = data.fitting.channels
+    unit = f"RMSE of {titled(channels.outputs[0], channels.output_units[0])}"
+    what = unit if len(channels.outputs) == 1 else "mean over outputs of RMSE/σ"
+    print_rows(study_rows(found), f"{data.name}, protocol {data.protocol}: {study}, {what}, median over seeds")
     left_out = [line for variant in found for line in variant.left_out]
     written = write_study(store, study, found)
     console.print(str(written), soft_wrap=True, highlight=False)

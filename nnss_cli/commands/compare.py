@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from nnss_cli.experiment.run import RunResult
 
 
-@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -36,6 +35,8 @@ def command(
     scheduler: opt.Scheduler = "",
     dry_run: opt.DryRun = False,
     yes: opt.Yes = False,
+    formats: opt.Formats = None,
+    columns: opt.Columns = None,
     changes: dict[str, Any] | None = None,
     own: dict[str, Any] | None = None,
 ) -> None:
@@ -57,8 +58,10 @@ def command(
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
     from nnss_cli.report.build import write_comparison
-    from nnss_cli.report.tables import failures, remarks, terminal_rows, terminal_title
+    from nnss_cli.report.style import Look
+    from nnss_cli.report.tables import error_tables, failures, options_apart, remarks
 
+    look = Look(tuple(formats or ()), columns)
     workers = opt.check_counts(seeds, jobs)
     if scheduler:
         workers = 1  # how many a cluster has is not ours to know: times are those of one
@@ -135,15 +138,17 @@ def command(
     if not asked:
         emit("end", files=[], left_out=table.left_out)
         raise typer.Exit(1)
-    files = write_comparison(store, table=table)
-    print_rows(terminal_rows(asked), terminal_title(asked))
-    combinations = terminal_rows(asked, apart=True)
-    if combinations:
-        print_rows(combinations, "Made of runs of this folder, so no independent competitor")
+    files = write_comparison(store, table=table, look=look)
+    for shown in error_tables(asked):
+        print_rows(shown.rows, shown.title, heads=shown.heads, about=shown.about)
+    for shown in error_tables(asked, apart=True):
+        title = f"{shown.title}; made of runs of this folder, so no independent competitor"
+        print_rows(shown.rows, title, heads=shown.heads, about=shown.about)
     others = len(table.results) - len(asked)
     if others:
         console.print(f"{others} other runs in this folder are in its files, not in this table.", highlight=False)
-    for line in [*(f"Note: {note}" for note in data.notes), *failures(asked), *remarks(asked)]:
+    notes = [*data.notes, *options_apart(asked)]
+    for line in [*(f"Note: {note}" for note in notes), *failures(asked), *remarks(asked)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)

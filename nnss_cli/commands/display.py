@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import typer
-from rich import box
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -18,27 +20,66 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
 from nnss_cli.commands.events import emit, emitting
+from nnss_cli.commands.layout import lines_of
+from nnss_cli.errors import InputError
 from nnss_cli.experiment.estimate import Estimate
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
+from nnss_cli.report.cells import Cell, plain, whole
 
 # names and units are the user's: '[cm]' is no style and ':up:' no picture
 console = Console(markup=False, emoji=False)
 
 
-def print_rows(rows: Sequence[dict[str, str]], title: str, text_columns: int = 2) -> None:
-    """A table of text cells: the first `text_columns` to the left, numbers to the right."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for index, name in enumerate(rows[0]):
-        table.add_column(
-            name, justify="left" if index < text_columns else "right", no_wrap=index < text_columns, overflow="fold"
-        )
-    for row in rows:
-        table.add_row(*row.values())
-    console.print(table)
+class _Csv:
+    """What `--csv` prints: the first table of a command, and further ones of the same columns."""
+
+    def __init__(self) -> None:
+        self.columns: list[str] | None = None
+
+    def write(self, rows: Sequence[dict[str, Any]]) -> None:
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        if self.columns not in (None, names):
+            return
+        text = io.StringIO()
+        writer = csv.DictWriter(text, names, lineterminator="\n")
+        if self.columns is None:
+            writer.writeheader()
+            self.columns = names
+        writer.writerows(rows)
+        typer.echo(text.getvalue(), nl=False)
+
+
+_CSV: ContextVar[_Csv | None] = ContextVar("csv", default=None)
+
+
+def print_rows(
+    rows: Sequence[Mapping[str, str]], title: str, text_columns: int = 2, heads: Mapping[str, str] | None = None,
+    about: Mapping[str, str] | None = None,
+) -> None:  # fmt: skip
+    """A table: lines for people, an event or CSV for machines, who get numbers in full precision.
+
+    Args:
+        rows: cells by name, the same names in each.
+        title: stands above it.
+        text_columns: so many columns say what a row is; the others are its numbers, to the right.
+        heads: name → header, where it is another one, with a unit as its second line.
+        about: what machines are told of all rows, and people in the title.
+    """
+    told = [dict(about or {}) | row for row in plain(rows)]
+    if (table := _CSV.get()) is not None:
+        table.write(told)
+    emit("table", title=title, rows=told)
+    if console.quiet:
+        return
+    console.print(title, style="italic", highlight=False)
+    header, *body = lines_of(rows, heads or {}, text_columns, console.width)
+    console.print(header, style="bold", highlight=False, soft_wrap=True)
+    for line in body:
+        console.print(line, highlight=False, soft_wrap=True)
+    console.print()
 
 
 class RunProgress:
@@ -57,7 +98,7 @@ class RunProgress:
             console=console, transient=True, disable=not console.is_terminal,
         )  # fmt: skip
         work = sum(_work(spec) for spec in specs)
-        self.overall = self.progress.add_task("all runs", total=work, state=f"0/{self.total}")
+        self.overall = self.progress.add_task("all runs", total=work, state=f"0/{self.total}, starting")
         self.tasks: dict[str, Any] = {}
         self.shown: dict[str, int] = {}  # epochs of a run that count; candidates and stages may take more
 
@@ -69,17 +110,21 @@ class RunProgress:
         self.progress.stop()
 
     def on_event(self, event: Event) -> None:
-        """Show a run's epoch."""
+        """Show a run's epoch, or what it is at before there is one."""
         label = event.spec.label
         if event.epoch:
             emit("epoch", run=name_of(event.spec), epoch=event.epoch, val_rmse=event.val_rmse)
-        else:
+        elif not event.waits_for:
             emit("start", run=name_of(event.spec))
-        if label not in self.tasks:
-            self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=_work(event.spec), state="")
-        if event.epoch:
+        if label not in self.tasks:  # without a total the bar moves to and fro
+            self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=None, state="")
+            self.progress.update(self.overall, state=f"{self.finished}/{self.total}")
+        if event.waits_for:
+            self.progress.update(self.tasks[label], total=None, state=event.waits_for)
+        elif event.epoch:
             self.progress.update(
                 self.tasks[label],
+                total=_work(event.spec),
                 completed=event.epoch,
                 state=f"epoch {event.epoch}, val {event.val_rmse:.4f}",
             )
@@ -119,23 +164,31 @@ def plan_rows(expected: Estimate) -> list[dict[str, str]]:
     """What there is to do, by method and order."""
     return [
         {
-            "method": group.method, "order": str(group.order), "runs": str(group.runs),
-            "each": "–" if group.seconds is None else f"{group.seconds:.3g} s",
+            "method": group.method, "order": whole(group.order), "runs": whole(group.runs),
+            "each": Cell("–" if group.seconds is None else f"{group.seconds:.3g} s", group.seconds),
         }
         for group in expected.groups
     ]  # fmt: skip
 
 
 @contextlib.contextmanager
-def output(quiet: bool, as_json: bool) -> Iterator[None]:
-    """Within it commands say nothing to people on stdout where they are to be quiet, or to print events."""
+def output(quiet: bool, as_json: bool, as_csv: bool = False) -> Iterator[None]:
+    """Within it commands say nothing to people on stdout where they are to be quiet, or to tell machines.
+
+    Raises:
+        InputError: both forms are asked for.
+    """
+    if as_json and as_csv:
+        raise InputError("expected --json or --csv, found both: leave one out")
     before = console.quiet
-    console.quiet = quiet or as_json
+    console.quiet = quiet or as_json or as_csv
+    token = _CSV.set(_Csv() if as_csv else None)
     try:
         with emitting(as_json):
             yield
     finally:
         console.quiet = before
+        _CSV.reset(token)
 
 
 def tell_left_out(lines: Iterable[str]) -> None:

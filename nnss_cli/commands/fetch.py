@@ -27,8 +27,10 @@ def command(
 ) -> None:
     """Fetch benchmark records into the cache (NNSS_DATA_DIR, else the platform's cache folder)."""
     from nnss_cli.commands.display import DownloadProgress, console, print_rows
+    from nnss_cli.commands.events import emit
     from nnss_cli.datasets.catalog import BENCHMARKS, benchmark
     from nnss_cli.datasets.download import cache_folder, fetch, install, is_cached
+    from nnss_cli.report.cells import Cell
 
     if show:
         entries = list(BENCHMARKS.all_usable().values())
@@ -37,7 +39,9 @@ def command(
                 "dataset": entry.name,
                 "what": entry.title,
                 "here": "built in" if not entry.sources else "yes" if is_cached(entry) else "no",
-                "orders": " ".join(map(str, entry.orders)),
+                "orders": Cell(
+                    " ".join(map(str, entry.orders)), {"orders": list(entry.orders), "cite": entry.citation}
+                ),
             }
             for entry in entries
         ]
@@ -52,7 +56,9 @@ def command(
     if file is not None:
         if len(entries) != 1:
             raise InputError("--from takes one file for one dataset: name exactly one")
-        console.print(f"{entries[0].name}: {install(entries[0], file)}", soft_wrap=True, highlight=False)
+        path = install(entries[0], file)
+        emit("end", dataset=entries[0].name, files=[str(path)])
+        console.print(f"{entries[0].name}: {path}", soft_wrap=True, highlight=False)
         return
     failures = []
     for entry in entries:
@@ -61,6 +67,7 @@ def command(
             continue
         try:
             path = fetch(entry, mirror=mirror, offline=offline, force=force, progress=DownloadProgress)
+            emit("end", dataset=entry.name, files=[str(path)])
             console.print(f"{entry.name}: {path}", soft_wrap=True, highlight=False)
         except InputError as error:  # the others may still be had
             failures.append(str(error))

@@ -124,10 +124,24 @@ Scheduler = Annotated[
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what is to do and how long it may take, and leave.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start even if it will take more than a day.")]
+Formats = Annotated[
+    list[str] | None,
+    typer.Option("--format", metavar="NAME …", help="Files of figures: png, svg, pdf.", show_default="png"),
+]
+Columns = Annotated[
+    int | None,
+    typer.Option(
+        "--columns", metavar="1|2", help="Figures as wide as so many columns of a paper.", show_default="for a screen"
+    ),
+]
 Quiet = Annotated[bool | None, typer.Option("--quiet", help="Print nothing but errors.")]
 AsJson = Annotated[
     bool | None, typer.Option("--json", help="Print events for machines: one JSON object a line (docs/reliability.md).")
 ]
+AsCsv = Annotated[
+    bool | None, typer.Option("--csv", help="Print the table as CSV, in full precision, and nothing else.")
+]
+OUTPUT = {"quiet": Quiet, "as_json": AsJson, "as_csv": AsCsv}
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
 ModelFolder = Annotated[
     Path,
@@ -275,15 +289,20 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def with_output(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command --quiet and --json."""
+    """Give a command --quiet, --json and --csv, but for those that it has itself."""
+    own = inspect.signature(command).parameters
+    added = {name: kind for name, kind in OUTPUT.items() if name not in own}
 
-    def wrapper(quiet: bool | None = None, as_json: bool | None = None, **given: Any) -> None:
+    def wrapper(**given: Any) -> None:
         from nnss_cli.commands.display import output
 
-        with output(bool(quiet), bool(as_json)):
+        asked = {name: bool(given.pop(name)) for name in added}
+        with output(asked.get("quiet", False), asked.get("as_json", False), asked["as_csv"]):
+            if asked["as_csv"] and given.get("as_json"):
+                raise InputError("expected --json or --csv, found both: leave one out")
             command(**given)
 
-    return _with_parameters(command, wrapper, {"quiet": Quiet, "as_json": AsJson})
+    return _with_parameters(command, wrapper, added)
 
 
 def _with_parameters(

@@ -26,6 +26,7 @@ def command(
     """Show what order the data call for: Hankel singular values and validation errors, and a suggestion."""
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.order import order_table, suggest_order
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
@@ -46,5 +47,7 @@ def command(
     title = f"{data.name}, protocol {data.protocol}: N4SID by order (RMSE/σ, horizon {chosen_by})"
     print_rows(order_rows(rows, chosen), title, text_columns=1)
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
-    for path in write_orders(rows, chosen, folder, title):
+    written = write_orders(rows, chosen, folder, title)
+    for path in written:
         console.print(str(path), soft_wrap=True, highlight=False)
+    emit("end", suggested=chosen, files=[str(path) for path in written])

@@ -35,6 +35,7 @@ def command(
     those of persistence, y(k) = y(k - N).
     """
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable, write_text
     from nnss_cli.report.validation import gain_lines, step_rows
@@ -70,3 +71,4 @@ def command(
         close_figure(figure)
     for path in [out, *[figure_path] * plot]:
         console.print(str(path), soft_wrap=True, highlight=False)
+    emit("end", files=[str(path) for path in [out, *[figure_path] * plot]])

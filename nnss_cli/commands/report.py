@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from nnss_cli.commands.options import Out, with_output
+from nnss_cli.commands.options import Columns, Formats, Out
 
 
-@with_output
 def command(
     out: Out = Path("results"),
     times: Annotated[
@@ -22,6 +21,8 @@ def command(
     html: Annotated[
         bool, typer.Option("--html", help="Write report.html too: one page, to be opened without network.")
     ] = False,
+    formats: Formats = None,
+    columns: Columns = None,
 ) -> None:
     """Rebuild every table and figure from the runs on disk, without training, and write report.md.
 
@@ -31,12 +32,15 @@ def command(
     from nnss_cli.commands.events import emit
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_report
+    from nnss_cli.report.style import Look
+
+    look = Look(tuple(formats or ()), columns)
 
     if out.is_dir():
         require_writable(out)
     left_out: list[str] = []
     try:
-        written = [write_report(out, times, left_out.append)]
+        written = [write_report(out, times, left_out.append, look)]
         if html:
             from nnss_cli.report.html.page import write_html
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from nnss_cli.commands.options import Out
+from nnss_cli.commands.options import Out, with_output
 from nnss_cli.commands.variadic import VariadicCommand
 from nnss_cli.errors import InputError
 
-app = typer.Typer(no_args_is_help=True, help="The runs of a results folder: list, show, rm, merge.")
+app = typer.Typer(no_args_is_help=True, help="The runs of a results folder: list, show, diff, rm, merge.")
 
 Patterns = Annotated[
     list[str] | None,
@@ -30,26 +30,28 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one line a run
 
 
 @app.command("list", cls=VariadicCommand, epilog="Example: nnss results list 'twotank/*' --status failed crashed")
+@with_output
 def list_command(
     runs: Patterns = None, status: Statuses = None, out: Out = Path("results"), as_json: AsJson = False
 ) -> None:
     """List runs by dataset, method and order. Exit code 1 when files are damaged: each is named."""
     from nnss_cli.commands.display import console, print_rows, tell_left_out
     from nnss_cli.experiment.collection import entries
-    from nnss_cli.report.listing import group_rows
+    from nnss_cli.report.listing import MEDIAN_ERROR, group_rows
 
     found = entries(out, runs or (), status or ())
     if as_json:
         for entry in found:
             typer.echo(json.dumps(_as_json(entry), ensure_ascii=False))
     elif found:
-        print_rows(group_rows(found), f"{len(found)} runs in '{out}'", text_columns=3)
+        print_rows(group_rows(found), f"{len(found)} runs in '{out}'; test: {MEDIAN_ERROR}", text_columns=3)
     else:
         console.print(f"no such runs in '{out}'", highlight=False)
     _end_with([entry.fault for entry in found if entry.fault], tell_left_out)
 
 
 @app.command("show", cls=VariadicCommand, epilog="Example: nnss results show twotank/paper/nnss-n3-s0")
+@with_output
 def show_command(runs: Patterns = None, out: Out = Path("results"), as_json: AsJson = False) -> None:
     """Show a run: its scores, what it was made with, its options."""
     from nnss_cli.commands.display import print_rows, tell_left_out
@@ -70,6 +72,34 @@ def show_command(runs: Patterns = None, out: Out = Path("results"), as_json: AsJ
                 print_rows(score_rows(entry.result), entry.name)
             print_rows(run_rows(entry), "" if entry.result.scores else entry.name, text_columns=1)
     _end_with([entry.fault for entry in found if entry.fault], tell_left_out)
+
+
+@app.command("diff", epilog="Example: nnss results diff results lab2/results")
+@with_output
+def diff_command(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A results folder.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="SHARE", help="Relative change of an error that is none.", min=0)
+    ] = 0.0,
+) -> None:
+    """Compare two results folders run by run: scores, status, data, options and versions; and which runs one lacks.
+
+    Exit code: 0 they are equal, 1 they differ or hold damaged runs. Wall times and machines are no difference.
+    """
+    from nnss_cli.commands.display import console, print_rows, tell_left_out
+    from nnss_cli.commands.events import emit
+    from nnss_cli.experiment.comparison import compared
+    from nnss_cli.report.listing import difference_rows
+
+    found = compared(first, second, tolerance)
+    if found.differing:
+        print_rows(difference_rows(found.differing), f"'{first}' (A) and '{second}' (B) differ", text_columns=2)
+    console.print(f"{found.equal} runs equal, {len({one.name for one in found.differing})} different", highlight=False)
+    emit("end", equal=found.equal, different=len({one.name for one in found.differing}), left_out=found.faults)
+    tell_left_out(found.faults)
+    if found.differing or found.faults:
+        raise typer.Exit(1)
 
 
 @app.command("rm", cls=VariadicCommand, epilog="Example: nnss results rm 'twotank/paper/nnss-n4-*' --yes")

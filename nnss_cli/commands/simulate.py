@@ -39,6 +39,7 @@ def command(
     The first outputs tell the initial state, as many as the model's init window has; the rest may be empty.
     """
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable, write_text
     from nnss_cli.trained import load, read_record
@@ -62,8 +63,10 @@ def command(
         console.print(f"Note on the training: {note}", soft_wrap=True, highlight=False)
     if found.scores:
         from nnss_cli.report.simulation import error_rows
+        from nnss_cli.report.tables import SIGMA_AND_FIT
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
+        console.print(SIGMA_AND_FIT, highlight=False)
     if limits is not None:
         for line in limits.told(trained.channels):
             console.print(line, soft_wrap=True, highlight=False)
@@ -79,3 +82,4 @@ def command(
         close_figure(figure)
     for path in [out, *[figure_path] * plot]:
         console.print(str(path), soft_wrap=True, highlight=False)
+    emit("end", files=[str(path) for path in [out, *[figure_path] * plot]])

@@ -11,7 +11,6 @@ from nnss_cli.commands import options as opt
 from nnss_cli.commands.record_options import with_record_options
 
 
-@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -35,7 +34,7 @@ def command(
     from nnss_cli.experiment.sweep import plan, sweep
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
-    from nnss_cli.report.tables import score_rows
+    from nnss_cli.report.tables import SIGMA_AND_FIT, score_rows
 
     methods = select([method])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})
@@ -68,4 +67,5 @@ def command(
         score_rows(result),
         f"{data.name}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
     )
+    console.print(SIGMA_AND_FIT, highlight=False)
     console.print(f"Model: {store.run_folder(result.spec)}", soft_wrap=True, highlight=False)

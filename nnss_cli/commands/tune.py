@@ -12,7 +12,6 @@ from nnss_cli.commands.record_options import as_arguments, with_record_options
 from nnss_cli.errors import InputError
 
 
-@opt.with_output
 @with_record_options
 @opt.with_fit_options
 def command(
@@ -60,7 +59,8 @@ def command(
 
     found = tune(data.fitting, order, trials, sampler, seed, ready_data.settings | (changes or {}), storage, tell)
     print_rows(
-        trial_rows(found[:10]), f"{data.name}, protocol {data.protocol}, order {order}: best of {len(found)} trials"
+        trial_rows(found[:10]),
+        f"{data.name}, protocol {data.protocol}, order {order}: best of {len(found)} trials, RMSE/σ on validation",
     )
     if found[0].state == "complete":
         protocol_option = "" if protocol == "paper" else f" --protocol {data.protocol}"

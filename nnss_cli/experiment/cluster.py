@@ -134,7 +134,8 @@ class Dask:
                 ended.append(self._outcome(self._running.pop(content)))
                 deadline = 0.0  # but take what has come with it
             elif what == "event" and (running := self._of(content["label"])) is not None:
-                self._on_event(Event(running.task.spec, content["epoch"], content["val_rmse"]))
+                told = {name: content[name] for name in ("epoch", "val_rmse", "waits_for", "begun")}
+                self._on_event(Event(running.task.spec, **told))
 
     def close(self) -> None:
         """Take leave. What workers are at ends by itself, and nobody hears of it."""

@@ -15,6 +15,7 @@ from nnss_cli.experiment.index import Stamp
 from nnss_cli.experiment.provenance import Watch, command_line
 from nnss_cli.experiment.run import RunResult, RunSpec, Status
 from nnss_cli.experiment.store import Store
+from nnss_cli.iterative import waits_told
 from nnss_cli.methods import METHODS
 
 
@@ -28,6 +29,10 @@ class Event:
     """Epoch just finished; 0 when the run starts."""
     val_rmse: float | None = None
     """Validation error of that epoch, normalised units."""
+    waits_for: str = ""
+    """What it is at while there is no epoch to show, in words."""
+    begun: bool = True
+    """Whether its fit has begun, and so its time is counted."""
 
 
 @dataclass(frozen=True)
@@ -134,13 +139,15 @@ def work(task: Task, dataset: Dataset, store: Store, report: Callable[[Event], N
             return None
         if (kept := kept_meanwhile(task, store)) is not None:
             return kept
+        report(Event(spec, waits_for="compiling", begun=False))
         METHODS[spec.method].prepare(spec.settings)
         report(Event(spec))
         started = time.perf_counter()
         try:
-            return execute(
-                spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)), command=task.command
-            )
+            with waits_told(lambda what: report(Event(spec, waits_for=what))):
+                return execute(
+                    spec, dataset, store, lambda epoch, _, val: report(Event(spec, epoch, val)), command=task.command
+                )
         except InputError:
             raise
         except Exception as error:

@@ -193,7 +193,8 @@ class Processes:
                     worker.ready, self._false_starts = True, 0
                     _send(worker, (in_use(), self._dataset, self._store))
                 case Event():
-                    worker.since = worker.since or time.monotonic()
+                    if message.begun:
+                        worker.since = worker.since or time.monotonic()
                     self._on_event(message)
                 case Done() if worker.task is not None:
                     outcomes.append(Outcome(worker.task, message.result))

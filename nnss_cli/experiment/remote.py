@@ -66,6 +66,7 @@ def executed(
         if event.epoch == 0 or time.monotonic() - told > CHATTER:
             told = time.monotonic()
             content = {"label": event.spec.label, "epoch": event.epoch, "val_rmse": event.val_rmse}
+            content |= {"waits_for": event.waits_for, "begun": event.begun}
             worker.log_event(topic, content)
 
     with _ONE, tempfile.TemporaryDirectory(prefix="nnss-") as folder:

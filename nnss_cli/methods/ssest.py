@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nnss_cli.datasets.record import FittingData, Presets
-from nnss_cli.iterative import EpochCallback
+from nnss_cli.iterative import EpochCallback, waiting_for
 from nnss_cli.methods.linear import LINEAR
 from nnss_cli.methods.options import chosen_options
 from nnss_cli.methods.protocol import Fit, Method, Settings
@@ -48,6 +48,7 @@ class SSEST(Method):
         from nnss_cli.baselines.linear_model import LinearModel
         from nnss_cli.baselines.ssest import ssest, ssest_by_validation
 
+        waiting_for("SSEST from several starts")
         train, val = data.normalised()
         if settings["feedthrough"] == "auto":
             model = ssest_by_validation(train, val, order, data.init_window)

@@ -44,15 +44,15 @@ def summary(results: Sequence[RunResult]) -> pd.DataFrame:
 
     Runs without a result enter medians and quartiles as ∞: `runs` counts all, `ok` those that have one; the mean
     is nan unless all have. Records of several outputs get two further outputs: "mean" (physical units, as the released
-    models are scored) and "mean of RMSE/σ", on which methods are ranked. `best` is the run that `best_run` picks
-    on validation, on every split.
+    models are scored) and "mean of RMSE/σ", on which methods are ranked. `fit` is the median of the fit [%]. `best` is
+    the run that `best_run` picks on validation, on every split.
     """
     scored = long_table([result for result in results if result.status == "ok"])
     if scored.empty:
         return pd.DataFrame()
     if scored["output"].nunique() > 1:
         keys = ["method", "order", "seed", "split"]
-        means = scored.groupby(keys, as_index=False)[["rmse", "nrmse"]].mean()
+        means = scored.groupby(keys, as_index=False)[["rmse", "nrmse", "fit_percent"]].mean()
         scored = pd.concat(
             [scored, means.assign(output=MEAN), means.assign(output=NORMALISED, rmse=means["nrmse"])],
             ignore_index=True,
@@ -70,7 +70,8 @@ def summary(results: Sequence[RunResult]) -> pd.DataFrame:
                 "order": order, "method": method, "split": split, "output": output,
                 "runs": len(everything), "ok": len(everything) - failed,
                 "mean": float(own["rmse"].mean()) if not failed else math.nan,
-                "median": quantile(values, 0.5), "min": min(values), "q1": quantile(values, 0.25),
+                "median": quantile(values, 0.5), "fit": -quantile([*-own["fit_percent"], *[math.inf] * failed], 0.5),
+                "min": min(values), "q1": quantile(values, 0.25),
                 "q3": quantile(values, 0.75), "max": max(values),
                 "best": float(own.loc[own["seed"] == best.spec.seed, "rmse"].iloc[0]), "best_seed": best.spec.seed,
             }
@@ -164,8 +165,8 @@ def scored_splits(results: Sequence[RunResult]) -> list[str]:
 
 
 def split_name(split: str) -> str:
-    """A split in words."""
-    return {"train": "train", "val": "validation", "test": "test"}.get(split, f"test {split}")
+    """A split in words; a test set whose name begins with "test" says itself that it is one."""
+    return {"train": "train", "val": "validation"}.get(split, split if split.startswith("test") else f"test {split}")
 
 
 def paper_table() -> pd.DataFrame:

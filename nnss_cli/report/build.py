@@ -20,6 +20,7 @@ from nnss_cli.experiment.provenance import MADE_WITH
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
+from nnss_cli.methods import METHODS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.report import figures
 from nnss_cli.report.aggregate import (
@@ -31,6 +32,7 @@ from nnss_cli.report.aggregate import (
     several_outputs,
     split_name,
 )
+from nnss_cli.report.dense import is_dense
 from nnss_cli.report.evidence import (
     QUIRKS,
     intervals,
@@ -39,7 +41,7 @@ from nnss_cli.report.evidence import (
     paper_comparison,
     released_comparison,
 )
-from nnss_cli.report.published import published_comparison
+from nnss_cli.report.published import paper_places, published_comparison
 from nnss_cli.report.standing import (
     MEANING,
     combinations,
@@ -51,18 +53,21 @@ from nnss_cli.report.standing import (
     unscored,
 )
 from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
+from nnss_cli.report.style import FORMATS, SCREEN, Axis, Look, styles_of
 from nnss_cli.report.tables import failures, markdown, rmse_markdown, study_rows
 
 HOUR = 3600.0
+CYCLES = 160  # samples of which each is to be seen
 
 
-def write_comparison(store: Store, times: bool = True, table: Table | None = None) -> list[Path]:
+def write_comparison(store: Store, times: bool = True, table: Table | None = None, look: Look = SCREEN) -> list[Path]:
     """Rebuild rmse.csv, rmse.md and the figures of one dataset and protocol from its runs.
 
     Args:
         store: where the runs are.
         times: whether rmse.csv holds the wall times; without, equal runs give equal files.
         table: which of them; what agrees unless given.
+        look: size and formats of the figures. Those of other formats, of an earlier call, are taken away.
 
     Returns:
         The files written, figures that have nothing to show left out.
@@ -75,10 +80,10 @@ def write_comparison(store: Store, times: bool = True, table: Table | None = Non
     if not results:
         raise InputError(f"no finished runs in '{store.folder}': run 'nnss compare {store.dataset}' first")
     with store.writing():
-        return _write_files(store, made_of, times)
+        return _write_files(store, made_of, times, look)
 
 
-def _write_files(store: Store, made_of: Table, times: bool) -> list[Path]:
+def _write_files(store: Store, made_of: Table, times: bool, look: Look) -> list[Path]:
     folder, results = store.folder, made_of.results
     rows = long_table(results)
     if not times:
@@ -87,15 +92,16 @@ def _write_files(store: Store, made_of: Table, times: bool) -> list[Path]:
     write_text(folder / "rmse.md", rmse_markdown(results, made_of.left_out))
     written = [folder / "rmse.csv", folder / "rmse.md"]
     drawn = {
-        "boxplot": (_boxplot(results), (".png", ".svg")),
-        "states": (_states(store, results), (".png",)),
-        **{name: (figure, (".png",)) for name, figure in _simulations(store, results).items()},
+        "boxplot": _boxplot(results, look),
+        "states": _states(store, results, look),
+        **_simulations(store, results, look),
     }
-    for name, (figure, suffixes) in drawn.items():
-        for suffix in suffixes:
-            path = folder / f"{name}{suffix}"
-            if figure is None:
-                path.unlink(missing_ok=True)  # one of an earlier set of runs
+    for name, figure in drawn.items():
+        wanted = look.formats or (("png", "svg") if name == "boxplot" else ("png",))
+        for suffix in FORMATS:
+            path = folder / f"{name}.{suffix}"
+            if figure is None or suffix not in wanted:
+                path.unlink(missing_ok=True)  # one of an earlier set of runs, or of an earlier call
             else:
                 figures.save_figure(figure, path)
                 written.append(path)
@@ -104,13 +110,16 @@ def _write_files(store: Store, made_of: Table, times: bool) -> list[Path]:
     return written
 
 
-def write_report(out: Path, times: bool = True, tell: Callable[[str], None] = lambda _: None) -> Path:
+def write_report(
+    out: Path, times: bool = True, tell: Callable[[str], None] = lambda _: None, look: Look = SCREEN
+) -> Path:
     """Rebuild every comparison under `out` and write report.md.
 
     Args:
         out: folder of results.
         times: as in `write_comparison`.
         tell: hears of each run, or group of runs, that is left out because its files are damaged or disagree.
+        look: as in `write_comparison`.
 
     Raises:
         InputError: there are no finished runs.
@@ -129,7 +138,7 @@ def write_report(out: Path, times: bool = True, tell: Callable[[str], None] = la
     for protocol in sorted({store.protocol for store in found}):
         parts += _overall([r for s in found if s.protocol == protocol for r in tables[s].results], protocol, out)
     for store in found:
-        files = write_comparison(store, times, tables[store])
+        files = write_comparison(store, times, tables[store], look)
         parts.append(_section(store, tables[store].results, files, out))
     path = out / "report.md"
     write_text(path, "\n\n".join(parts) + "\n")
@@ -232,6 +241,12 @@ def _section(store: Store, results: Sequence[RunResult], files: Sequence[Path], 
             released_comparison(results),
         ),
         (
+            "Places beside the paper and its released models\n\nEvery method and recipe that ran (bold), medians over "
+            "seeds, among what the paper prints and its authors released. A place is no test: intervals that overlap "
+            "settle nothing.",
+            paper_places(results),
+        ),
+        (
             "Among the published results\n\nOurs are medians over seeds, each method at the order that validates best; "
             "the published ones are single models. Scored after the initialisation window.",
             published_comparison(results),
@@ -247,8 +262,7 @@ def _section(store: Store, results: Sequence[RunResult], files: Sequence[Path], 
     parts.append("### Figures")
     parts += [
         f"![{path.stem} of {store.dataset}, protocol {store.protocol}]({path.relative_to(out).as_posix()})"
-        for path in files
-        if path.suffix == ".png"
+        for path in _pictures(files)
     ]
     versions = sorted({_versions(result) for result in results})
     parts.append(
@@ -261,45 +275,74 @@ def _versions(result: RunResult) -> str:
     return ", ".join(f"{name} {result.provenance.get(name, 'unknown')}" for name in (*MADE_WITH, "machine", "cpu"))
 
 
-def _output_axes(result: RunResult) -> list[figures.Axis]:
+def _pictures(files: Sequence[Path]) -> list[Path]:
+    """One file of each figure: a PNG where there is one, else what a page shows as well as it can."""
+    best: dict[str, Path] = {}
+    for suffix in FORMATS:
+        for path in files:
+            if path.suffix == f".{suffix}":
+                best.setdefault(path.stem, path)
+    return [best[path.stem] for path in dict.fromkeys(path.with_suffix("") for path in files) if path.stem in best]
+
+
+def _axes(result: RunResult, kind: str) -> list[Axis]:
+    """Names and units of a run's "input"s or "output"s."""
     channels = result.channels
-    return [figures.Axis(name, unit) for name, unit in zip(channels["outputs"], channels["output_units"], strict=True)]
+    return [Axis(name, unit) for name, unit in zip(channels[f"{kind}s"], channels[f"{kind}_units"], strict=True)]
 
 
 def _title(result: RunResult) -> str:
     return f"{result.spec.dataset} (protocol {result.spec.protocol})"
 
 
-def _boxplot(results: Sequence[RunResult]) -> Figure | None:
+def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None:
     splits = scored_splits(results)
-    units = {f"y{i + 1}": axis for i, axis in enumerate(_output_axes(results[0]))}
+    units = {f"y{i + 1}": axis for i, axis in enumerate(_axes(results[0], "output"))}
     values: dict[str, dict[str, dict[int, list[float]]]] = {}
     labels: dict[str, str] = {}
+    titles: dict[str, str] = {}
     for split in splits:
         for method in methods_of(results):
             for result in results:
                 for score in result.scores if result.spec.method == method else ():
                     if score.split == split:
                         panel = f"{split}/{score.output}"
-                        labels[panel] = f"{split_name(split)} RMSE,\n{units[score.output]}"
+                        axis = units[score.output]
+                        labels[panel] = f"RMSE{'' if axis.unit in ('–', '') else f' [{axis.unit}]'}"
+                        shown = ([split_name(split)] if len(splits) > 1 else []) + [axis.name] * (len(units) > 1)
+                        titles[panel] = ", ".join(shown)
                         by_order = values.setdefault(panel, {}).setdefault(method, {})
                         by_order.setdefault(result.spec.order, []).append(score.rmse)
     if not values:
         return None
-    seeds = len({result.spec.seed for result in results})
     what = split_name(splits[0]) if len(splits) == 1 else "test"
-    title = f"{_title(results[0])}: {what} RMSE over {seeds} seed{'s' * (seeds > 1)}"
+    of = f" of {units['y1'].name}" if len(units) == 1 else ""
+    title = f"{_title(results[0])}: {what} RMSE{of}{_over_seeds(results)}"
     lost = [
-        f"{failed} of {len(own)} {figures.style_of(method).label}, n = {order}"
+        f"{failed} of {len(own)} {styles_of([method])[method].label}, n = {order}"
         for (method, order), own in runs_by_method(results).items()
         if (failed := sum(result.status != "ok" for result in own))
     ]
     if lost:
         title += "\nnot drawn, without a result: " + "; ".join(lost)
-    return figures.draw_boxplot(values, labels, title)
+    return figures.draw_boxplot(values, labels, title, titles, look)
 
 
-def _simulations(store: Store, results: Sequence[RunResult]) -> dict[str, Figure | None]:
+def _over_seeds(results: Sequence[RunResult]) -> str:
+    """How many seeds a box is over, where there are any: other methods have one run."""
+    known = methods_of(results)
+    seeded = [name for name in known if name in METHODS and METHODS[name].seeded]
+    seeded += [
+        name for name in known if name not in METHODS and any(r.spec.seed for r in results if r.spec.method == name)
+    ]
+    seeds = len({result.spec.seed for result in results if result.spec.method in seeded})
+    if not seeds:
+        return ""
+    over = f" over {seeds} seed{'s' * (seeds > 1)}"
+    return over if len(seeded) == len(known) else f"{over}; of methods without seeds one run"
+
+
+def _simulations(store: Store, results: Sequence[RunResult], look: Look = SCREEN) -> dict[str, Figure | None]:
     """A figure for each test set (validation where there is none), by the name of its file."""
     best = best_by_method(results)
     if not best:
@@ -316,9 +359,10 @@ def _simulations(store: Store, results: Sequence[RunResult]) -> dict[str, Figure
         time, unit = _time(len(measured), float(any_signals["Ts"][0]))
         title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
         name = "simulation" if split in ("test", "val") else f"simulation-{split}"
+        inputs = list(zip(_axes(results[0], "input"), joined(any_signals, split, "u").T, strict=True))
         found[name] = figures.draw_simulation(
-            time, measured, simulated, _output_axes(results[0]), unit, title, transient(measured[: lengths[0]]),
-            starts(lengths),
+            time, measured, simulated, _axes(results[0], "output"), unit, title, transient(measured[: lengths[0]]),
+            starts(lengths), inputs, True, look,
         )  # fmt: skip
     return found
 
@@ -345,18 +389,23 @@ def _records(split: str, lengths: Sequence[int]) -> str:
 
 
 def transient(measured: FloatArray) -> slice | None:
-    """The twelfth of a long record (200 samples or more) over which its outputs range most; else None."""
+    """The part of a long record (200 samples or more) over which its outputs range most; else None.
+
+    A twelfth of it; some oscillations of a record that has very many.
+    """
     K = len(measured)
     if K < 200:
         return None
     length = max(60, K // 12)
+    if any(is_dense(y) for y in measured.T):
+        length = min(length, CYCLES)
     spread = np.maximum(measured.max(axis=0) - measured.min(axis=0), np.finfo(float).tiny)
     windows = np.lib.stride_tricks.sliding_window_view(measured / spread, length, axis=0)
     start = int(np.argmax((windows.max(axis=2) - windows.min(axis=2)).sum(axis=1)))
     return slice(start, start + length)
 
 
-def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
+def _states(store: Store, results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None:
     split, *_ = scored_splits(results)
     result = best_by_method(results).get("nnss")
     if result is None:
@@ -369,7 +418,7 @@ def _states(store: Store, results: Sequence[RunResult]) -> Figure | None:
         f"(n = {result.spec.order}, seed {result.spec.seed}; {_records(split, lengths)}, measured outputs on top)"
     )
     return figures.draw_states(
-        time, joined(signals, split, "x"), measured, _output_axes(result), unit, title, starts(lengths)
+        time, joined(signals, split, "x"), measured, _axes(result, "output"), unit, title, starts(lengths), look
     )
 
 

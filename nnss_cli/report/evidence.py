@@ -91,6 +91,8 @@ def paper_comparison(results: Sequence[RunResult]) -> str:
 def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
     """The paper's printed values beside ours, a verdict per cell; none where the paper prints none for these runs.
 
+    Only what was run has a row.
+
     The paper prints the best of ten seeds, chosen on test: so the verdict is on ours chosen likewise.
     """
     first = results[0].spec
@@ -104,16 +106,15 @@ def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
     merged = printed.merge(ours, how="left", on=["order", "method", "output", "split"])
     merged = merged.merge(lucky, how="left", on=["order", "method", "output", "split"])
     rows = []
-    for row in merged.itertuples():
-        known = pd.notna(row.lucky)
+    for row in merged[merged["lucky"].notna()].itertuples():
         unit = 10.0 ** -len(str(row.rmse).partition(".")[2])  # of the last printed digit
         rows.append(
             {
                 "order": str(row.order), "method": row.method, "output": row.output, "split": row.split,
                 "paper": number(row.rmse), "ours, chosen as the paper does": number(row.lucky),
-                "runs": f"{row.ok:.0f}/{row.runs:.0f}" if known else "–",
+                "runs": f"{row.ok:.0f}/{row.runs:.0f}",
                 "difference": _percent(row.lucky / row.rmse),
-                "verdict": verdict(row.lucky, row.rmse, unit) if known else "–",
+                "verdict": verdict(row.lucky, row.rmse, unit),
                 "ours: median": number(row.median), "ours: best by validation": number(row.best),
             }
         )  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,63 +19,34 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.files import write_atomically
-
-STYLE: Any = {
-    "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-    "grid.color": "0.9", "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 100, "savefig.dpi": 200,
-    "svg.hashsalt": "nnss",  # equal data, equal file
-}  # fmt: skip
+from nnss_cli.report.dense import envelope, is_dense, thinned
+from nnss_cli.report.style import (
+    MEASURED,
+    SCREEN,
+    STYLE,
+    Axis,
+    Look,
+    MethodStyle,
+    legend_columns,
+    log_ticks,
+    style_of,
+    styles_of,
+)
 
 FLAT = 0.02  # of the panel's height: boxes below it would be all outline
-
-
-@dataclass(frozen=True)
-class MethodStyle:
-    """One look per method in every figure; lines and hatches tell them apart in grey."""
-
-    label: str
-    colour: str
-    line: str | tuple[int, tuple[int, ...]]
-    hatch: str
-    marker: str
-
-
-# Okabe–Ito colours, which stay apart for colour-blind readers; lightness differs for print in grey.
-STYLES: dict[str, MethodStyle] = {
-    "nnss": MethodStyle("NN-SS", "#0072B2", "-", "", "o"),
-    "nnss-ensemble": MethodStyle("NN-SS ensemble", "#000000", (0, (8, 1)), "--", "X"),
-    "nnss-paper": MethodStyle("NN-SS, paper's recipe", "#56B4E9", (0, (2, 2)), "oo", "h"),
-    "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//", "s"),
-    "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\", "D"),
-    "ssest": MethodStyle("SSEST", "#009E73", (0, (1, 1)), "xx", "^"),
-    "ssregest": MethodStyle("SSREGEST", "#CC79A7", (0, (3, 1, 1, 1, 1, 1)), "..", "v"),
-}
-
-
-def style_of(method: str) -> MethodStyle:
-    """The method's look; a plain one for a method that has none."""
-    return STYLES.get(method, MethodStyle(method, "0.4", "-", "++", "P"))
-
-
-@dataclass(frozen=True)
-class Axis:
-    """Name and unit of a signal."""
-
-    name: str
-    unit: str
-
-    def __str__(self) -> str:
-        return self.name if self.unit == "–" else f"{self.name} [{self.unit}]"
+PANEL = 2.3  # inches that a panel of the box plot needs, at least
 
 
 def draw_boxplot(
     values: Mapping[str, Mapping[str, Mapping[int, Sequence[float]]]],
     labels: Mapping[str, str],
     title: str,
+    titles: Mapping[str, str] | None = None,
+    look: Look = SCREEN,
 ) -> Figure:
     """RMSE over seeds by order and method, logarithmic; the median where there is hardly a spread.
 
@@ -84,44 +54,63 @@ def draw_boxplot(
         values: panel → method → order → RMSE of each seed.
         labels: panel → what its axis shows.
         title: of the figure.
+        titles: panel → what stands above it; nothing unless given.
+        look: size of the figure.
     """
-    with plt.rc_context(STYLE):
-        figure, panels = plt.subplots(
-            1, len(values), figsize=(max(4.6, 3.4 * len(values)), 3.4), squeeze=False, layout="constrained"
-        )
-        methods = list(dict.fromkeys(method for by_method in values.values() for method in by_method))
-        boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
-        for panel, (output, by_method) in zip(panels[0], values.items(), strict=True):
-            orders = sorted({order for by_order in by_method.values() for order in by_order})
-            width = 0.8 / max(1, len(methods))
-            for index, method in enumerate(methods):
-                look = style_of(method)
-                for position, order in enumerate(orders):
-                    sample = by_method.get(method, {}).get(order, [])
-                    at = position + (index - (len(methods) - 1) / 2) * width
-                    if sample and method in boxed:
-                        box = panel.boxplot(
-                            [sample], positions=[at], widths=0.85 * width, patch_artist=True,
-                            medianprops={"color": "black", "linewidth": 1.4},
-                            flierprops={"marker": "o", "markersize": 3, "markeredgecolor": look.colour},
-                        )  # fmt: skip
-                        box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
-                    elif sample:
-                        # boxes too flat to show a colour: a marker of the method's own, and the range behind it
-                        panel.plot([at, at], [min(sample), max(sample)], color="black", linewidth=1)
-                        panel.plot(
-                            at, np.median(sample), look.marker, color=look.colour, markersize=6, markeredgecolor="black"
-                        )
-            panel.set_xticks(range(len(orders)), [str(order) for order in orders])
-            panel.set_xlim(-0.6, len(orders) - 0.4)
-            panel.set_yscale("log")
-            _few_log_ticks(panel)
+    width = look.width or max(4.6, 3.4 * min(len(values), 3))
+    across = min(len(values), 3, max(1, int(width / PANEL)))
+    down = math.ceil(len(values) / across)
+    height = 1.0 + 2.4 * down if look.width else 0.6 + 2.8 * down
+    methods = list(dict.fromkeys(method for by_method in values.values() for method in by_method))
+    looks = styles_of(methods)
+    boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
+    with plt.rc_context(look.style):
+        figure, panels = plt.subplots(down, across, figsize=(width, height), squeeze=False, layout="constrained")
+        figure.get_layout_engine().set(w_pad=0.08, h_pad=0.06)
+        for panel in panels.flat[len(values) :]:
+            panel.remove()
+        for panel, (name, by_method) in zip(panels.flat, values.items(), strict=False):
+            _draw_boxes(panel, by_method, looks, boxed)
             panel.set_xlabel("order n")
-            panel.set_ylabel(labels[output])
-        handles = [_legend_entry(method, method in boxed) for method in methods]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3 if len(values) == 1 else len(handles))
-        figure.suptitle(title, fontsize=10)
+            panel.set_ylabel(labels[name])
+            if titles:
+                panel.set_title(titles[name], fontsize="medium")
+        handles = [_legend_entry(looks[method], method in boxed) for method in methods]
+        _legend(figure, handles, 3 if across == 1 else 4 if across == 2 else 6)
+        figure.suptitle(textwrap.fill(title, int(width * 15)) if look.width else title, fontsize="large")
     return figure
+
+
+def _draw_boxes(
+    panel: Any, by_method: Mapping[str, Mapping[int, Sequence[float]]], looks: Mapping[str, MethodStyle],
+    boxed: set[str],
+) -> None:  # fmt: skip
+    """A panel of the box plot: a box or a marker for each method and order."""
+    orders = sorted({order for by_order in by_method.values() for order in by_order})
+    width = 0.8 / max(1, len(looks))
+    for index, (method, look) in enumerate(looks.items()):
+        for position, order in enumerate(orders):
+            sample = by_method.get(method, {}).get(order, [])
+            at = position + (index - (len(looks) - 1) / 2) * width
+            if sample and method in boxed:
+                box = panel.boxplot(
+                    [sample], positions=[at], widths=0.85 * width, patch_artist=True,
+                    medianprops={"color": "black", "linewidth": 1.4},
+                    flierprops={"marker": "o", "markersize": 3, "markeredgecolor": look.colour},
+                )  # fmt: skip
+                box["boxes"][0].set(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black")
+            elif sample:
+                # boxes too flat to show a colour: a marker of the method's own, and the range behind it
+                panel.plot([at, at], [min(sample), max(sample)], color="black", linewidth=1)
+                panel.plot(at, np.median(sample), look.marker, color=look.colour, markersize=6, markeredgecolor="black")
+    panel.set_xticks(range(len(orders)), [str(order) for order in orders])
+    panel.set_xlim(-0.6, len(orders) - 0.4)
+    panel.set_yscale("log")
+    _few_log_ticks(panel)
+
+
+def _legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=legend_columns(len(handles), most))
 
 
 def _has_boxes(by_method: Mapping[str, Mapping[int, Sequence[float]]], method: str) -> bool:
@@ -136,41 +125,32 @@ def _span(values: Sequence[float] | FloatArray) -> float:
     return math.log(max(values) / max(min(values), np.finfo(float).tiny)) if max(values, default=0) > 0 else 0.0
 
 
-def _legend_entry(method: str, as_box: bool) -> Artist:
-    look = style_of(method)
+def _legend_entry(look: MethodStyle, as_box: bool) -> Artist:
     if as_box:
         return Patch(facecolor=look.colour, alpha=0.75, hatch=look.hatch, edgecolor="black", label=look.label)
     return Line2D(
-        [],
-        [],
-        linestyle="",
-        marker=look.marker,
-        color=look.colour,
-        markersize=6,
-        markeredgecolor="black",
+        [], [], linestyle="", marker=look.marker, color=look.colour, markersize=6, markeredgecolor="black",
         label=look.label,
-    )
+    )  # fmt: skip
 
 
 def _few_log_ticks(panel: Any) -> None:
     """Plain numbers on a logarithmic axis that may span less than a decade."""
     low, high = panel.get_ylim()
-    if high / low > 20:
-        subs: tuple[float, ...] = (1.0, 2.0, 5.0)
-    elif high / low > 3:
-        subs = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-    else:
-        subs = tuple(np.arange(1.0, 10.0, 1.0 if high / low > 1.6 else 0.5))
-    panel.yaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
+    panel.yaxis.set_major_locator(FixedLocator(log_ticks(low, high)))
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_locator(NullLocator())
     panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_simulation(
     time: FloatArray, measured: FloatArray, simulated: Mapping[str, tuple[str, FloatArray]],
     outputs: Sequence[Axis], time_unit: str, title: str, zoom: slice | None = None, breaks: Sequence[int] = (),
+    inputs: Sequence[tuple[Axis, FloatArray]] = (), residuals: bool = False, look: Look = SCREEN,
 ) -> Figure:  # fmt: skip
     """Measured and simulated outputs, one row an output, with a second column for a part of a long record.
+
+    A record whose line would be a band of ink is drawn by its envelope: the least and largest values of each piece.
 
     Args:
         time: instants (K,).
@@ -179,40 +159,97 @@ def draw_simulation(
         outputs: names and units.
         time_unit: unit of `time`.
         title: of the figure.
-        zoom: samples of the second column; None for none.
+        zoom: samples of the second column; None for none. In a single column of a paper there is no room for it.
         breaks: samples at which another record begins.
+        inputs: name and samples (K,) of each, in panels below; several share one, each over its range.
+        residuals: whether a panel below each output shows measured minus simulated.
+        look: size of the figure.
     """
+    m = measured.shape[1]
+    zoom = None if look.columns == 1 else zoom
     parts = [slice(None)] if zoom is None else [slice(None), zoom]
-    with plt.rc_context(STYLE):
-        m = measured.shape[1]
+    looks = styles_of(simulated)
+    heights = [1.9, 0.95] * m if residuals else [1.9] * m
+    if inputs:
+        heights.append(0.95 if len(inputs) == 1 else 0.5 + 0.3 * len(inputs))
+    width = look.width or (7.2 if zoom is None else 9.6)
+    height = (1.2 + sum(heights)) * (0.85 if look.width else 1.0)
+    with plt.rc_context(look.style):
         figure, panels = plt.subplots(
-            m, len(parts), figsize=(7.2 if zoom is None else 9.6, 1.2 + 1.9 * m), sharex="col", squeeze=False,
-            layout="constrained", width_ratios=[3, 2][: len(parts)],
+            len(heights), len(parts), figsize=(width, height), sharex="col", squeeze=False,
+            layout="constrained", width_ratios=[3, 2][: len(parts)], height_ratios=heights,
         )  # fmt: skip
-        for i in range(m):
-            for part, panel in zip(parts, panels[i], strict=True):
-                panel.plot(time[part], measured[part, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
+        for column, part in enumerate(parts):
+            t = time[part]
+            bands = False
+            for i in range(m):
+                row = i * (2 if residuals else 1)
+                panel = panels[row, column]
+                dense = is_dense(measured[part, i])
+                bands = bands or dense
+                draw_line(panel, t, measured[part, i], dense, label="measured", **MEASURED)
                 for method, (detail, y) in simulated.items():
-                    look = style_of(method)
-                    panel.plot(
-                        time[part],
-                        y[part, i],
-                        color=look.colour,
-                        linestyle=look.line,
-                        linewidth=1.1,
-                        label=f"{look.label} {detail}",
-                    )
-                panel.margins(x=0.01)
-            _mark_breaks(panels[i, 0], time, breaks)
-            panels[i, 0].set_ylabel(str(outputs[i]))
+                    style = {"color": looks[method].colour, "linestyle": looks[method].line, "linewidth": 1.1}
+                    draw_line(panel, t, y[part, i], dense, label=f"{looks[method].label} {detail}", **style)
+                    if residuals:
+                        error = measured[part, i] - y[part, i]
+                        draw_line(panels[row + 1, column], t, error, dense, **style | {"linewidth": 0.9})
+                panel.set_ylabel(textwrap.fill(str(outputs[i]), 24))
+                if residuals:
+                    panels[row + 1, column].axhline(0, color="0.3", linewidth=0.6)
+                    panels[row + 1, column].set_ylabel("residual" + _unit(outputs[i]))
+            if inputs:
+                _draw_inputs(panels[-1, column], t, [(axis, u[part]) for axis, u in inputs])
+            if bands:
+                panels[0, column].set_title("envelope: least and largest values", fontsize="small", loc="left")
+            elif column:
+                panels[0, column].set_title("a part of it", fontsize="small", loc="left")
+        for panel in panels[:, 0]:
+            _mark_breaks(panel, time, breaks)
             if zoom is not None:  # where the second column stands in the first
-                panels[i, 0].axvspan(time[zoom][0], time[zoom][-1], color="0.85", zorder=0)
+                panel.axvspan(time[zoom][0], time[zoom][-1], color="0.93", zorder=0)
+        for panel in panels.flat:
+            panel.margins(x=0.01)
+            panel.yaxis.set_major_locator(MaxNLocator(4)) if not panel.get_label() else None
         for panel in panels[-1]:
             panel.set_xlabel(f"time [{time_unit}]")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
-        figure.suptitle(title, fontsize=10)
+        figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
+        _legend(figure, panels[0, 0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
+        figure.suptitle(textwrap.fill(title, int(width * 13)), fontsize="large")
     return figure
+
+
+def draw_line(panel: Any, time: FloatArray, values: FloatArray, dense: bool, **style: Any) -> None:
+    """A signal as a line, or by its envelope: filled where it is the measured one, else its two edges."""
+    if not dense:
+        panel.plot(*thinned(time, values), **style)
+        return
+    edges = envelope(time, values)
+    if style.get("label") == "measured":
+        panel.fill_between(edges.time, edges.low, edges.high, color="0.85", linewidth=0, label="measured", step="post")
+        return
+    panel.plot(edges.time, edges.high, **style)
+    panel.plot(edges.time, edges.low, **style | {"label": None})
+
+
+def _draw_inputs(panel: Any, time: FloatArray, inputs: Sequence[tuple[Axis, FloatArray]]) -> None:
+    """One input in its unit; several above each other, each over its range."""
+    for row, (_, u) in enumerate(inputs):
+        if len(inputs) > 1:
+            span = float(np.ptp(u))
+            u = row + 0.8 * ((u - u.min()) / span if span > 0 else np.full(len(u), 0.5))
+        draw_line(panel, time, u, is_dense(u), color="0.25", linewidth=0.9, drawstyle="steps-post")
+    if len(inputs) == 1:
+        panel.set_ylabel(textwrap.fill(str(inputs[0][0]), 14))
+        return
+    panel.set_label("inputs")
+    panel.set_yticks([row + 0.4 for row in range(len(inputs))], [axis.name for axis, _ in inputs], fontsize="x-small")
+    panel.set_ylabel("inputs, each\nover its range")
+    panel.grid(False, axis="y")
+
+
+def _unit(axis: Axis) -> str:
+    return "" if axis.unit in ("–", "") else f"\n[{axis.unit}]"
 
 
 def _mark_breaks(panel: Any, time: FloatArray, breaks: Sequence[int]) -> None:
@@ -228,6 +265,7 @@ def draw_states(
     time_unit: str,
     title: str,
     breaks: Sequence[int] = (),
+    look: Look = SCREEN,
 ) -> Figure:
     """Latent states over time, with the measured outputs that they follow above them.
 
@@ -239,17 +277,20 @@ def draw_states(
         time_unit: unit of `time`.
         title: of the figure.
         breaks: samples at which another record begins.
+        look: size of the figure.
     """
-    with plt.rc_context(STYLE):
+    with plt.rc_context(look.style):
         n, m = states.shape[1], measured.shape[1]
         figure, panels = plt.subplots(
-            n + m, 1, figsize=(7.2, 0.9 + 1.05 * (n + m)), sharex=True, squeeze=False, layout="constrained"
-        )
+            n + m, 1, figsize=(look.width or 7.2, 0.9 + 1.05 * (n + m)), sharex=True, squeeze=False,
+            layout="constrained",
+        )  # fmt: skip
         for i in range(m):
-            panels[i, 0].plot(time, measured[:, i], color="black", linewidth=1.0)
-            panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize=8)
+            draw_line(panels[i, 0], time, measured[:, i], is_dense(measured[:, i]), color="black", linewidth=0.9)
+            panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize="small")
         for i in range(n):
-            panels[m + i, 0].plot(time, states[:, i], color=style_of("nnss").colour, linewidth=1.1)
+            dense = is_dense(states[:, i])
+            draw_line(panels[m + i, 0], time, states[:, i], dense, color=style_of("nnss").colour, linewidth=0.9)
             panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
         for panel in panels[:, 0]:
             _mark_breaks(panel, time, breaks)
@@ -257,7 +298,8 @@ def draw_states(
             panel.yaxis.set_major_locator(MaxNLocator(3))
         figure.align_ylabels()
         panels[-1, 0].set_xlabel(f"time [{time_unit}]")
-        figure.suptitle(title, fontsize=10)
+        width = int((look.width or 7.2) * 13)
+        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize="large")
     return figure
 
 
@@ -331,6 +373,7 @@ def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -
     values = ranks.to_numpy()
     groups = cliques([str(name) for name in ranks.index], level)
     left = (k + 1) // 2
+    looks = styles_of(map(str, ranks.index))
     with plt.rc_context(STYLE):
         rows = max(left, k - left)
         figure, panel = plt.subplots(figsize=(7.2, 1.3 + 0.24 * (rows + len(groups))), layout="constrained")
@@ -349,7 +392,7 @@ def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -
             on_left = position < left
             height = low - 0.6 * (position if on_left else k - 1 - position)
             end = 0.8 if on_left else k + 0.2
-            style = style_of(str(method))
+            style = looks[str(method)]
             panel.plot([rank, rank, end], [0, height, height], color=style.colour, linewidth=1, linestyle=style.line)
             panel.plot([rank], [0], color=style.colour, marker=style.marker, markersize=4)
             panel.text(
@@ -362,7 +405,7 @@ def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure atomically and close it; equal figures give equal files."""
-    metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
     with plt.rc_context(STYLE):
         write_atomically(path, lambda temporary: figure.savefig(temporary, metadata=metadata))
 

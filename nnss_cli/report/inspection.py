@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nnss_cli.experiment.inspection_result import Delay, Inspection
-from nnss_cli.report.figures import STYLE, Axis
+from nnss_cli.report.style import STYLE, Axis
 from nnss_cli.report.tables import number
 
 SHOWN = 6  # channels of each role, and inputs and outputs of the responses, that the figure has room for

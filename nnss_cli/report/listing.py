@@ -7,9 +7,13 @@ from collections import Counter
 from collections.abc import Sequence
 
 from nnss_cli.experiment.collection import Entry
+from nnss_cli.experiment.comparison import Difference
 from nnss_cli.report.aggregate import scored_splits, shown_error
+from nnss_cli.report.cells import Cell, whole
 from nnss_cli.report.statistics import quantile
 from nnss_cli.report.tables import number
+
+MEDIAN_ERROR = "median RMSE in the record's unit, or mean of RMSE/σ over several outputs"
 
 
 def group_rows(entries: Sequence[Entry]) -> list[dict[str, str]]:
@@ -28,11 +32,13 @@ def group_rows(entries: Sequence[Entry]) -> list[dict[str, str]]:
         others = Counter(entry.result.status if entry.result else "damaged" for entry in own)
         ok = others.pop("ok", 0)
         errors = [shown_error(r, scored_splits(results)[0]) if r.status == "ok" else math.inf for r in results]
+        others_told = " ".join(f"{count} {name}" for name, count in others.items())
         rows.append(
             {
-                "dataset": dataset, "protocol": protocol, "method": method, "n": str(order or "–"),
-                "ok": f"{ok}/{len(own)}", "else": " ".join(f"{count} {name}" for name, count in others.items()) or "–",
-                "test": number(quantile(errors, 0.5), 3) if errors else "–",
+                "dataset": dataset, "protocol": protocol, "method": method,
+                "n": whole(order) if order else Cell("–", None),
+                "ok": Cell(f"{ok}/{len(own)}", {"ok": ok, "runs": len(own)}), "else": others_told or "–",
+                "test": number(quantile(errors, 0.5) if errors else None, 3),
             }
         )  # fmt: skip
     return rows
@@ -50,3 +56,21 @@ def run_rows(entry: Entry) -> list[dict[str, str]]:
         "notes": " ".join(result.notes), "remarks": " ".join(result.remarks), "folder": str(entry.folder),
     }  # fmt: skip
     return [{"": name, "found": value} for name, value in rows.items() if value]
+
+
+def difference_rows(differing: Sequence[Difference]) -> list[dict[str, str]]:
+    """A row for each thing in which a run differs between two folders."""
+    rows = []
+    for one in differing:
+        change = one.change
+        rows.append(
+            {
+                "run": one.name, "what": one.what, "A": _side(one.first), "B": _side(one.second),
+                "change": Cell("–" if change is None else f"{100 * change:+.2g} %", change),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _side(value: float | str | None) -> Cell:
+    return Cell(value, value) if isinstance(value, str) else number(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,8 +11,10 @@ from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.experiment.run import Score
-from nnss_cli.report.figures import STYLE, style_of
-from nnss_cli.report.tables import number
+from nnss_cli.report.dense import is_dense
+from nnss_cli.report.figures import draw_line
+from nnss_cli.report.style import MEASURED, STYLE, style_of
+from nnss_cli.report.tables import number, percent
 
 
 def titled(name: str, unit: str) -> str:
@@ -25,7 +28,7 @@ def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, st
     return [
         {
             "output": names[int(score.output[1:]) - 1], "RMSE": number(score.rmse), "RMSE/σ": number(score.nrmse),
-            "fit [%]": f"{score.fit_percent:.1f}",
+            "fit [%]": percent(score.fit_percent),
         }
         for score in scores
     ]  # fmt: skip
@@ -35,7 +38,7 @@ def draw_simulated(
     time: FloatArray, u: FloatArray, y: FloatArray, measured: FloatArray | None, channels: Channels, label: str,
     what: str = "simulated", band: tuple[FloatArray, FloatArray, str] | None = None,
 ) -> Figure:  # fmt: skip
-    """Simulated or predicted outputs over the measured ones, where there are any, and the inputs below.
+    """Simulated or predicted outputs over the measured ones, where there are any, their differences, the inputs below.
 
     Args:
         time: instants (K,) [s].
@@ -48,17 +51,25 @@ def draw_simulated(
         band: lower and upper limit (K, m), and what the band is called.
     """
     m, r = y.shape[1], u.shape[1]
+    rows = 1 if measured is None else 2  # for each output
     look = style_of("nnss")
     with plt.rc_context(STYLE):
         figure, panels = plt.subplots(
-            m + r, 1, figsize=(7.2, 1.2 + 1.7 * m + 0.9 * r), sharex=True, squeeze=False, layout="constrained",
-            height_ratios=[1.9] * m + [1] * r,
+            rows * m + r, 1, figsize=(7.2, 1.2 + (1.7 + 0.9 * (rows - 1)) * m + 0.9 * r), sharex=True, squeeze=False,
+            layout="constrained", height_ratios=([1.9] + [1] * (rows - 1)) * m + [1] * r,
         )  # fmt: skip
         for i in range(m):
-            panel = panels[i, 0]
+            panel = panels[rows * i, 0]
+            dense = is_dense(y[:, i])
             if measured is not None:
-                panel.plot(time, measured[:, i], color="black", linewidth=2.2, alpha=0.35, label="measured")
-            panel.plot(time, y[:, i], color=look.colour, linewidth=1.1, label=what)
+                draw_line(panel, time, measured[:, i], dense, label="measured", **MEASURED)
+                residual = panels[rows * i + 1, 0]
+                error = measured[:, i] - y[:, i]
+                draw_line(residual, time, error, dense, color=look.colour, linewidth=0.8)
+                residual.axhline(0, color="0.3", linewidth=0.6)
+                unit = channels.output_units[i]
+                residual.set_ylabel("residual" if unit in ("", "–") else f"residual\n[{unit}]")
+            draw_line(panel, time, y[:, i], dense, color=look.colour, linewidth=1.1, label=what)
             if band is not None:
                 low, high, name = band
                 panel.fill_between(
@@ -66,8 +77,9 @@ def draw_simulated(
                 )
             panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
         for i in range(r):
-            panels[m + i, 0].step(time, u[:, i], color="0.35", linewidth=0.9, where="post")
-            panels[m + i, 0].set_ylabel(titled(channels.inputs[i], channels.input_units[i]))
+            panel = panels[rows * m + i, 0]
+            draw_line(panel, time, u[:, i], is_dense(u[:, i]), color="0.35", linewidth=0.9, drawstyle="steps-post")
+            panel.set_ylabel(textwrap.fill(titled(channels.inputs[i], channels.input_units[i]), 14))
         for panel in panels[:, 0]:
             panel.margins(x=0.01)
         panels[-1, 0].set_xlabel("time [s]")

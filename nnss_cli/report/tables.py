@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,23 +29,43 @@ from nnss_cli.report.aggregate import (
     split_name,
     splits_of,
     summary,
-    test_sets,
 )
+from nnss_cli.report.cells import Cell, whole
 from nnss_cli.report.statistics import median_interval, quantile
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
     from nnss_cli.experiment.certify import Certificate
 
 
-def number(value: float | None, digits: int = 4) -> str:
+SIGMA_AND_FIT = (
+    "RMSE/σ: σ is the output's standard deviation over the data that the protocol scales with, the training data "
+    "unless a note says otherwise, so that splits can be compared. fit = 100 (1 − RMSE/s): s is the output's standard "
+    "deviation within the split itself, so 0 % is no better than its mean."
+)
+"""What the two relative errors are relative to."""
+
+
+def number(value: float | None, digits: int = 4) -> Cell:
     """A few significant digits, without an exponent from 0.0001 to a million; "–" for nothing, "∞" for a failure."""
     if value is None or pd.isna(value):
-        return "–"
+        return Cell("–", None)
+    value = float(value)
     if math.isinf(value):
-        return "∞"
+        return Cell("∞" if value > 0 else "−∞", value)
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits}g}"
-    return np.format_float_positional(value, precision=digits, fractional=False, trim="-")
+        return Cell(f"{value:.{digits}g}", value)
+    return Cell(np.format_float_positional(value, precision=digits, fractional=False, trim="-"), value)
+
+
+def span(low: float, high: float, names: tuple[str, str], digits: int = 4) -> Cell:
+    """Two numbers as a range, each a column of its own for machines."""
+    cells = number(low, digits), number(high, digits)
+    return Cell("–".join(cells), {name: cell.value for name, cell in zip(names, cells, strict=True)})
+
+
+def percent(value: float) -> Cell:
+    """With one digit, as fits are given."""
+    return Cell(f"{value:.1f}" if math.isfinite(value) else number(value), value)
 
 
 def failures(results: Sequence[RunResult]) -> list[str]:
@@ -86,6 +107,32 @@ def versions_apart(results: Sequence[RunResult]) -> list[str]:
     return lines
 
 
+def options_apart(results: Sequence[RunResult]) -> list[str]:
+    """A line for each method whose runs at different orders have different options, naming these and their values.
+
+    Runs of one order always agree (`agreement`); tables hold all orders.
+    """
+    lines = []
+    for method in methods_of(results):
+        settings = {r.spec.order: r.spec.settings for r in results if r.spec.method == method}
+        names = [name for name in dict.fromkeys(key for own in settings.values() for key in own) if name != "members"]
+        told = []
+        for name in names:
+            orders: dict[str, list[str]] = {}
+            for order in sorted(settings):
+                orders.setdefault(_option(settings[order].get(name)), []).append(str(order))
+            if len(orders) > 1:
+                values = (f"{value} at order {', '.join(own)}" for value, own in orders.items())
+                told.append(f"{name} {'; '.join(values)}")
+        if told:
+            lines.append(f"{method} has other options at different orders: {'. '.join(told)}.")
+    return lines
+
+
+def _option(value: object) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str("–" if value is None else value)
+
+
 def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) -> str:
     """The summary over seeds, one table a split, the runs that failed, and those that were left out."""
     first = results[0].spec
@@ -114,8 +161,9 @@ def rows_of_split(table: pd.DataFrame, split: str, methods: list[str]) -> list[d
     rows = table[(table["split"] == split) & table["method"].isin(methods)]
     return [
         {
-            "order": str(row.order), "method": str(row.method), "output": str(row.output),
+            "order": whole(row.order), "method": str(row.method), "output": str(row.output),
             "runs": f"{row.ok}/{row.runs}", "mean": number(row.mean), "median": number(row.median),
+            "fit [%]": percent(row.fit),
             "best by validation": f"{number(row.best)} (seed {row.best_seed})" if row.runs > 1 else number(row.best),
             "spread (q1–q3)": f"{number(row.q1)}–{number(row.q3)}" if row.runs > 1 else "–",
             "min–max": f"{number(row.min)}–{number(row.max)}" if row.runs > 1 else "–",
@@ -126,27 +174,76 @@ def rows_of_split(table: pd.DataFrame, split: str, methods: list[str]) -> list[d
     ]  # fmt: skip
 
 
-def terminal_title(results: Sequence[RunResult]) -> str:
-    """What the terminal's table shows."""
-    first = results[0].spec
-    what = "mean over outputs of RMSE/σ" if several_outputs(results) else "RMSE"
-    return (
-        f"{first.dataset}, protocol {first.protocol}: {what}, median over seeds; q1–q3 and best "
-        f"(the seed chosen on validation): {split_name(scored_splits(results)[0])}"
-    )
+@dataclass(frozen=True)
+class ErrorTable:
+    """A table of a comparison for the terminal: one test set and one output, or the mean over outputs."""
+
+    title: str
+    """What it shows, with the unit."""
+    rows: list[dict[str, str]]
+    """By order and method."""
+    heads: dict[str, str]
+    """Headers with units."""
+    about: dict[str, str]
+    """The test set and the output, for machines."""
 
 
-def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dict[str, str]]:
-    """A short table: medians of all splits, quartiles and the best run on the split that figures show.
+def error_tables(results: Sequence[RunResult], apart: bool = False) -> list[ErrorTable]:
+    """A table for each test set (validation where there is none) and output; of several outputs first their mean.
 
     Args:
         results: the runs.
         apart: show the methods that are made of others' runs, instead of the independent ones.
     """
+    names = output_names(results[0])
+    found = []
+    for split in scored_splits(results):
+        for output in [NORMALISED, *names] if several_outputs(results) else list(names):
+            rows = terminal_rows(results, apart, split, output)
+            if rows:
+                unit = "" if output == NORMALISED else results[0].channels["output_units"][list(names).index(output)]
+                shown = {"train", "val", "test", "best"} if unit not in ("", "–") else set()
+                heads = {"order": "n", "fit": "fit\n[%]"} | {name: f"{name}\n[{unit}]" for name in shown}
+                about = {"split": split, "output": names.get(output, output)}
+                found.append(ErrorTable(terminal_title(results, split, output), rows, heads, about))
+    return found
+
+
+def output_names(result: RunResult) -> dict[str, str]:
+    """y1, y2, … → the output's own name with its unit."""
+    channels = result.channels
+    return {
+        f"y{i + 1}": name if unit in ("", "–") else f"{name} [{unit}]"
+        for i, (name, unit) in enumerate(zip(channels["outputs"], channels["output_units"], strict=True))
+    }
+
+
+def terminal_title(results: Sequence[RunResult], split: str = "", output: str = "") -> str:
+    """What a terminal's table shows."""
+    first = results[0].spec
+    output = output or (NORMALISED if several_outputs(results) else "y1")
+    what = "mean over outputs of RMSE/σ" if output == NORMALISED else f"RMSE of {output_names(results[0])[output]}"
+    return (
+        f"{first.dataset}, protocol {first.protocol}: {what}, {split_name(split or scored_splits(results)[0])}; "
+        "median over seeds, q1–q3, best (the seed chosen on validation)"
+    )
+
+
+def terminal_rows(
+    results: Sequence[RunResult], apart: bool = False, split: str = "", output: str = ""
+) -> list[dict[str, str]]:
+    """A short table: medians on train, validation and a test set, fit, quartiles and the best run on the latter.
+
+    Args:
+        results: the runs.
+        apart: show the methods that are made of others' runs, instead of the independent ones.
+        split: the test set; the first, or validation where there is none, unless given.
+        output: y1, y2, …; the only one, or the mean over outputs of RMSE/σ, unless given.
+    """
     table = summary(results)
-    shown_split, *_ = scored_splits(results)
-    splits = dict.fromkeys([*FITTED_ON, *(test_sets(results) or ["test"])])
-    output = NORMALISED if several_outputs(results) else "y1"
+    shown_split = split or scored_splits(results)[0]
+    splits = {name: name for name in FITTED_ON} | {"test": shown_split if shown_split not in FITTED_ON else "test"}
+    output = output or (NORMALISED if several_outputs(results) else "y1")
     position = methods_of(results)
     rows = []
     runs = runs_by_method(results)
@@ -155,28 +252,30 @@ def terminal_rows(results: Sequence[RunResult], apart: bool = False) -> list[dic
             continue
         own = runs[method, order]
         ok = sum(r.status == "ok" for r in own)
-        row = {"order": str(order), "method": method, "runs": f"{ok}/{len(own)}"}
         cells = {} if table.empty else _cells(table, method, order, output)
-        for split in splits:
-            row[split] = number(cells[split]["median"], 3) if split in cells else "–"
         shown = cells.get(shown_split)
-        row["q1–q3"] = (
-            f"{number(shown['q1'], 2)}–{number(shown['q3'], 2)}" if shown is not None and len(own) > 1 else "–"
-        )
-        row["best"] = number(shown["best"], 3) if shown is not None else "–"
-        rows.append(row)
+        nothing = Cell("–", {"q1": None, "q3": None})
+        rows.append(
+            {
+                "order": whole(order), "method": method,
+                "runs": Cell(f"{ok}/{len(own)}", {"ok": ok, "runs": len(own)}),
+                **{name: number(cells[key]["median"] if key in cells else None, 3) for name, key in splits.items()},
+                "fit": percent(shown["fit"]) if shown is not None else Cell("–", None),
+                "q1–q3": span(shown["q1"], shown["q3"], ("q1", "q3"), 3)
+                if shown is not None and len(own) > 1 else nothing,
+                "best": number(shown["best"] if shown is not None else None, 3),
+            }
+        )  # fmt: skip
     return rows
 
 
 def score_rows(result: RunResult) -> list[dict[str, str]]:
     """One run's errors by split and output, each with its own name and unit."""
-    names, units = result.channels["outputs"], result.channels["output_units"]
-    titles = [name if unit == "–" else f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
-    outputs = {f"y{i + 1}": title for i, title in enumerate(titles)}
+    outputs = output_names(result)
     return [
         {
             "split": score.split, "output": outputs[score.output], "RMSE": number(score.rmse),
-            "RMSE/σ": number(score.nrmse), "fit [%]": f"{score.fit_percent:.1f}",
+            "RMSE/σ": number(score.nrmse), "fit [%]": percent(score.fit_percent),
         }
         for score in result.scores
     ]  # fmt: skip
@@ -186,8 +285,10 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
     """Order selection as text, the suggested order marked."""
     return [
         {
-            "order": f"{row.order}{' ←' if row.order == chosen else ''}",
-            "Hankel σn/σ1": f"{row.hankel:.2e}",
+            "order": Cell(
+                f"{row.order}{' ←' * (row.order == chosen)}", {"order": row.order, "suggested": row.order == chosen}
+            ),
+            "Hankel σn/σ1": Cell(f"{row.hankel:.2e}", float(row.hankel)),
             "train": number(row.train),
             "validation": number(row.val),
         }
@@ -245,7 +346,10 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
         for variant in variants:
             own = [r for r in variant.results if r.spec.order == order]
             ok = [r for r in own if r.status == "ok"]
-            row = {"order": str(order), "variant": variant.name, "runs": f"{len(ok)}/{len(own)}"}
+            row: dict[str, str] = {
+                "order": whole(order), "variant": variant.name,
+                "runs": Cell(f"{len(ok)}/{len(own)}", {"ok": len(ok), "runs": len(own)}),
+            }  # fmt: skip
             for split in splits_of([r for v in variants for r in v.results]):
                 if not any(score.split == split for r in ok for score in r.scores):
                     row[split] = "–"
@@ -274,7 +378,7 @@ def trial_rows(trials: Sequence[Trial]) -> list[dict[str, str]]:
 
     return [
         {
-            "trial": str(t.number), "state": t.state, "val": number(t.val_rmse, 3), "hidden": widths(t, "hidden"),
+            "trial": whole(t.number), "state": t.state, "val": number(t.val_rmse, 3), "hidden": widths(t, "hidden"),
             "encoder": widths(t, "encoder"), "λ": plain(t, "consistency"), "rate": plain(t, "learning_rate"),
             "window": plain(t, "window"), "batch": plain(t, "batch"),
         }
@@ -294,12 +398,14 @@ def _explanation(results: Sequence[RunResult]) -> str:
         "result counts as ∞ in medians and quartiles. The best run is chosen on validation, never on test. Every "
         "number is rebuilt from `runs/` by `nnss report`."
     ]
+    lines.append(SIGMA_AND_FIT)
     if several_outputs(results):
         lines.append(
             "Output `mean` is the mean over outputs in physical units, which the largest output rules; methods are "
-            "ranked by `mean of RMSE/σ`, σ being the deviation that the protocol scales with."
+            "ranked by `mean of RMSE/σ`."
         )
-    return "\n\n".join(lines + [f"Note: {note}" for note in [*notes, *versions_apart(results)]])
+    told = [*notes, *options_apart(results), *versions_apart(results)]
+    return "\n\n".join(lines + [f"Note: {note}" for note in told])
 
 
 def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels
-from nnss_cli.report.figures import STYLE, style_of
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.simulation import titled
+from nnss_cli.report.style import STYLE, style_of
 from nnss_cli.report.tables import number
 from nnss_cli.validation.gain import Gain
 from nnss_cli.validation.predictor import StepTable

@@ -15,7 +15,7 @@ from nnss_cli.baselines.subspace import constant_channels
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import SHORTEST, beginnings, sliding_windows
 from nnss_cli.errors import InputError
-from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
+from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random, waiting_for
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
@@ -362,10 +362,12 @@ def _begin(
         return initial, remarks
     try:
         a = model.architecture
+        waiting_for("SSEST, to start from")
         linear = linear_start(train, val, a.order, a.gamma, init_window, a.feedthrough)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
     if initial == "feedback":
+        waiting_for("saturated feedback, to start from")
         try:
             if feedback_start(model, linear, train, val, named_random(seed, "feedback"), init_window):
                 return initial, remarks

@@ -159,7 +159,9 @@ def test_events_are_one_json_object_a_line(nnss: Callable) -> None:
     told = nnss(*COMPARE, "--json")
     assert (told.code, told.err) == (0, "")
     events = [json.loads(line) for line in told.out.splitlines()]
-    assert [one["event"] for one in events] == ["plan", "start", "result", "forecast", "start", "result", "end"]
+    assert [one["event"] for one in events] == [
+        "plan", "start", "result", "forecast", "start", "result", "table", "end"
+    ]  # fmt: skip
     plan_, _, first, forecast, *_, end = events
     assert forecast["expected_seconds"] > 0
     assert (plan_["runs"], plan_["done"]) == (2, 0)

@@ -13,8 +13,9 @@ from nnss_cli.experiment.run import RunSpec
 from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS
 from nnss_cli.report.build import write_comparison, write_report
+from nnss_cli.report.cells import plain
 from nnss_cli.report.standing import effects
-from nnss_cli.report.tables import terminal_rows
+from nnss_cli.report.tables import error_tables
 
 
 @pytest.fixture
@@ -38,7 +39,13 @@ def test_each_set_is_scored_tabled_and_drawn(named: Dataset, tmp_path: Path) -> 
     store = run_all(named, tmp_path)
     results = store.results()
     assert [s.split for s in results[0].scores] == ["train", "val", "calm", "rough"]
-    assert list(terminal_rows(results)[0])[3:7] == ["train", "val", "calm", "rough"]
+    tables = error_tables(results)
+    assert [table.about["split"] for table in tables] == ["calm", "rough"]
+    for table in tables:
+        assert list(table.rows[0])[3:7] == ["train", "val", "test", "fit"]
+        assert f"test {table.about['split']}" in table.title
+        (score,) = (s for s in results[0].scores if s.split == table.about["split"])
+        assert plain(table.rows)[0]["test"] == score.rmse
     names = {path.name for path in write_comparison(store)}
     assert {"simulation-calm.png", "simulation-rough.png"} <= names
     text = (store.folder / "rmse.md").read_text()

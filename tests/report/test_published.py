@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.report.aggregate import published_table
-from nnss_cli.report.published import OTHERWISE, published_comparison
+from nnss_cli.report.published import OTHERWISE, PAPERS, paper_places, published_comparison
 
 CHANNELS = {"inputs": ["u"], "outputs": ["y"], "input_units": ["V"], "output_units": ["V"]}
 
@@ -52,3 +52,29 @@ def test_sources_are_named_with_what_differs() -> None:
     for source in published_table().query("dataset == 'cascaded-tanks'")["source"].unique():
         assert source in text
         assert OTHERWISE.get(source, "") in text
+
+
+def papers(method: str, seed: int, error: float | None, order: int = 3) -> RunResult:
+    found = run(method, order, seed, 0.3, "paper", **({} if error is None else {"test": error}))
+    return replace(found, spec=replace(found.spec, dataset="twotank"))
+
+
+def test_our_place_beside_the_paper_and_its_released_models() -> None:
+    runs = [papers("nnss", seed, error) for seed, error in enumerate((0.015, 0.03, 0.016))]
+    runs += [papers("n4sid", 0, 0.051), papers("nnss", 0, 0.02, order=7)]  # nothing is known of order 7
+    text = paper_places(runs)
+    found = rows(text)
+    assert [row[0] for row in found] == [str(place) for place in range(1, len(found) + 1)]
+    errors = [float(row[2]) for row in found]
+    assert errors == sorted(errors)
+    assert [row[1] for row in found][:3] == ["nnss", "**nnss**", "nnss"]  # 0.01 printed, ours 0.016, 0.0211 released
+    assert [row[4] for row in found][:3] == ["[1]", "3/3 runs", "[2]"]
+    assert found[2][3].count("–") == 1
+    assert "**n4sid**" in [row[1] for row in found]
+    assert "Order 3, y [V], test:" in text
+    assert "Order 7" not in text
+    for note in PAPERS.values():
+        assert note in text
+    lost = paper_places([*runs[:1], papers("nnss", 1, None), papers("nnss", 2, None)])
+    assert rows(lost)[-1][1:3] == ["**nnss**", "∞"]
+    assert paper_places([run("nnss", 2, 0, 0.3, "strict", test=0.2)]) == ""

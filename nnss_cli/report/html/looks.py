@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nnss_cli.report.figures import style_of
+from nnss_cli.report.style import style_of
 
 SURFACES: dict[str, tuple[str, str]] = {
     "page": ("#ffffff", "#14181d"),

@@ -1,0 +1,64 @@
+"""Long records on paper: an envelope of least and largest values in the place of a solid band."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from nnss_cli.datasets.record import FloatArray
+
+BINS = 240
+"""Pieces that a record's width is divided into: a few points of ink each, in a column of a page."""
+PIXELS = 2000
+"""Samples from which a line is thinned; it passes through the extremes of each piece, so nothing is lost to the eye."""
+BAND = 0.25  # of the range: what oscillates by more than this within most pieces is a band, not a line
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """The least and the largest value in each piece of a record."""
+
+    time: FloatArray
+    """Instants (p,)."""
+    low: FloatArray
+    """(p,)"""
+    high: FloatArray
+    """(p,)"""
+
+
+def is_dense(values: FloatArray) -> bool:
+    """Whether a signal (K,) goes up and down so often that its line would be a band of ink."""
+    if len(values) < 4 * BINS:
+        return False
+    found = envelope(np.arange(len(values), dtype=float), values)
+    span = float(np.max(found.high) - np.min(found.low))
+    return bool(np.median(found.high - found.low) > BAND * span)
+
+
+def envelope(time: FloatArray, values: FloatArray, bins: int = BINS) -> Envelope:
+    """Least and largest values over pieces of a record, which differ by one sample in length at most.
+
+    Args:
+        time: instants (K,).
+        values: (K,), K at least `bins`.
+        bins: pieces.
+    """
+    edges = np.linspace(0, len(values), bins + 1).astype(int)[:-1]
+    return Envelope(time[edges], np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges))
+
+
+def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A line of at most about `PIXELS` points through the extremes of the whole, in their order in time."""
+    if len(values) <= PIXELS:
+        return time, values
+    edges = np.linspace(0, len(values), PIXELS // 2 + 1).astype(int)
+    kept = np.concatenate(
+        [
+            start + np.unique([np.argmin(values[start:stop]), np.argmax(values[start:stop])])
+            for start, stop in itertools.pairwise(edges)
+        ]
+    )
+    kept = np.unique([0, *kept, len(values) - 1])
+    return time[kept], values[kept]
