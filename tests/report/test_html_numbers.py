@@ -188,10 +188,7 @@ def missing(out: Path, page: str) -> list[str]:
         for table in tables_of(page)
         for row in table["rows"]
         for head, cell in zip(table["head"], row, strict=True)
-        if not (
-            table["caption"].startswith("Beside the")
-            and is_theirs(head, cell, dict(zip(table["head"], row, strict=True)), theirs)
-        )
+        if not is_theirs(head, cell, dict(zip(table["head"], row, strict=True)), theirs)
     ]
     cells += [("verdict", html.unescape(re.sub(r"<.*?>", "", text))) for text in verdict]
     cells += [("box", text) for text in boxes]
@@ -203,11 +200,14 @@ def missing(out: Path, page: str) -> list[str]:
 
 
 def is_theirs(head: str, cell: str, row: dict[str, str], theirs: np.ndarray) -> bool:
-    """Whether a cell of a comparison is the paper's own number, or what ours is above it."""
+    """Whether a cell of a comparison is the paper's own number, what ours is above it, or a row's place."""
     if head == "difference":
         ours = float(row.get("ours, chosen as the paper does") or row["ours: median"])
         return abs(100 * (ours / float(row.get("paper") or row["released: median"]) - 1) - float(cell.split()[0])) < 0.6
-    own = ("paper", "released: median", "its interval")
+    published = row.get("source", "").startswith("[")  # a note's number, in a table by place
+    if head == "place" or (head == "source" and published):
+        return True
+    own = ("RMSE", "interval") if published else ("paper", "released: median", "its interval")
     return head in own and all(is_found(token, theirs) for token in NUMBER.findall(cell))
 
 

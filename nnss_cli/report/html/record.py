@@ -79,15 +79,15 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Simple:
-    """A table of text."""
+class Reference:
+    """Tables of published numbers beside ours."""
 
     title: str
-    """What it shows."""
+    """What they show."""
     note: str
-    """What a reader must know of it."""
-    rows: Sequence[dict[str, str]]
-    """Cells by the title of their column."""
+    """What a reader must know of them."""
+    tables: Sequence[tuple[str, Sequence[dict[str, str]]]]
+    """Caption and rows of each; cells by the title of their column."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Section:
     """What was tried before a model was chosen, by run."""
     certificates: list[dict[str, str]]
     """What is known of stability."""
-    references: list[Simple]
+    references: list[Reference]
     """Published numbers beside ours."""
     departures: list[str]
     """Methods with other settings than the paper's."""
@@ -249,47 +249,39 @@ def _boxes(results: Sequence[RunResult], looks: dict[str, Look], anchor: str) ->
     return pictures
 
 
-def _references(results: Sequence[RunResult]) -> list[Simple]:
-    tables = [
-        Simple(
+def _references(results: Sequence[RunResult]) -> list[Reference]:
+    published, sources = published_tables(results)
+    places, notes = place_tables(results)
+    found = [
+        Reference(
             "Beside the paper's table",
             "The paper prints the best of ten seeds, chosen on test, so the verdict is on ours chosen likewise: "
             "reproduced (within 10 %, or in the last printed digit), better or worse. Only runs of which every setting "
             "is the paper's stand here.",
-            paper_rows(results),
+            [("Beside the paper's table", paper_rows(results))],
         ),
-        Simple(
+        Reference(
             "Beside the models that the authors released",
             "Medians over seeds, mean over outputs in physical units; only runs of which every setting is the paper's. "
             "The released medians' intervals follow from their quartiles (± 1.57 (q3 − q1)/√n), ours from order "
             "statistics.",
-            released_rows(results),
+            [("Beside the models that the authors released", released_rows(results))],
         ),
-    ]
-    places, notes = place_tables(results)
-    for title, rows in places:
-        tables.append(
-            Simple(
-                f"Among the paper's and the released models': {title}",
-                "Ours are medians over seeds of every method and recipe that ran. " + " ".join(notes),
-                rows,
-            )
-        )
-    published, sources = published_tables(results)
-    for title, rows in published:
-        tables.append(
-            Simple(
-                f"Among the published results: {title}",
-                "Ours are medians over seeds, each method at the order that validates best; the published ones are "
-                "single models. Scored after the initialisation window. " + " ".join(sources),
-                rows,
-            )
-        )
-    tables.append(
-        Simple(
+        Reference(
+            "Place among the paper's and the released models' errors",
+            "Ours are medians over seeds of every method and recipe that ran. " + " ".join(notes),
+            places,
+        ),
+        Reference(
+            "Among the published results",
+            "Ours are medians over seeds, each method at the order that validates best; the published ones are "
+            "single models. Scored after the initialisation window. " + " ".join(sources),
+            published,
+        ),
+        Reference(
             "Optimism of choosing on test",
             f"RMSE/σ on test of the best seed{', mean over outputs' * several_outputs(results)}.",
-            optimism_rows(results),
-        )
-    )
-    return [table for table in tables if table.rows]
+            [("Optimism of choosing on test", optimism_rows(results))],
+        ),
+    ]
+    return [one for one in found if any(rows for _, rows in one.tables)]
