@@ -1,5 +1,6 @@
 """The page in a real browser. With NNSS_PAGE those tests that need no made-up runs look at that page."""
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -29,11 +30,24 @@ def test_it_opens_at_once_says_nothing_and_asks_for_nothing(
         assert one.asked == [page_file.as_uri()]
         assert one.page.evaluate("performance.getEntriesByType('resource').length") == 0
     size = page_file.stat().st_size
-    events = [one.page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd / 1000") for one in opened]
+    clock = [one.page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd / 1000") for one in opened]
+    work = [processor_time(one.page) for one in opened]
     with capsys.disabled():
-        print(f"\n{page_file.name}: {size / 1e6:.2f} MB, opens in {min(events):.2f} s ({max(events):.2f} s at worst)")
+        print(
+            f"\n{page_file.name}: {size / 1e6:.2f} MB, opens in {min(clock):.2f} s ({max(clock):.2f} s at worst), "
+            f"of which the processor works {min(work):.2f} s"
+        )
     assert size < LARGEST
-    assert min(events) < SLOWEST
+    assert min(work) < SLOWEST
+    if os.getloadavg()[0] <= (os.cpu_count() or 1):  # else others' work is in the clock's time
+        assert min(clock) < SLOWEST
+
+
+def processor_time(page: Any) -> float:
+    """What the page's process has worked since it began [s], on all threads, whatever else the machine does."""
+    session = page.context.new_cdp_session(page)
+    session.send("Performance.enable")
+    return {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}["ProcessTime"]
 
 
 @pytest.mark.parametrize("width", WIDTHS)
