@@ -137,3 +137,20 @@ def test_the_examples_of_docstrings_run(nnss: Callable) -> None:
     found = doctest.testmod(nnss_cli.api, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert found.failed == 0
     assert found.attempted >= 6
+
+
+def test_the_front_pages_figures_stand_in_the_pages_it_links_to() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = [
+        line for line in text.partition("## Two commands")[0].splitlines() if line.startswith("|") and "make" in line
+    ]
+    assert len(rows) == 3
+    for row in rows:
+        _, _, ours, others, source, _ = row.split("|")
+        (link,) = LINK.findall(source)
+        page = (ROOT / link).read_text(encoding="utf-8")
+        numbers = re.findall(r"\d+(?:[. ]\d+)*", ours + others.replace("N4SID", ""))
+        assert len(numbers) >= 3
+        for number in numbers:
+            assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d.])", page), f"{number} is not in {link}"
+    assert "![" in text.partition("## Two commands")[0]

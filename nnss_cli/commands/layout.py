@@ -32,7 +32,7 @@ def lines_of(rows: Sequence[Mapping[str, str]], heads: Mapping[str, str], text_c
             name: [line for line in lines if line == lines[0] or cell_len(line) <= bare[name]]
             for name, lines in titles.items()
         }
-    widest, least = _widest(rows, titles, names), _least(rows, titles, names, text_columns)
+    widest, least = _widest(rows, titles, names), _least(rows, titles, names, text_columns, width)
     keys = names[:text_columns]
     if any(_total(least, [*keys, name]) > width for name in names[text_columns:]):
         keys = names[:1]
@@ -80,12 +80,13 @@ def _widest(rows: Sequence[Mapping[str, str]], titles: Mapping[str, list[str]], 
 
 
 def _least(
-    rows: Sequence[Mapping[str, str]], titles: Mapping[str, list[str]], names: Sequence[str], text_columns: int
-) -> dict[str, int]:
+    rows: Sequence[Mapping[str, str]], titles: Mapping[str, list[str]], names: Sequence[str], text_columns: int,
+    width: int,
+) -> dict[str, int]:  # fmt: skip
     """As narrow as each column can be: cells of words down to their longest word, all others as they are."""
     least = _widest(rows, titles, names)
     for index, name in enumerate(names):
-        if _words(rows, name):
+        if _words(rows, name) and (index >= text_columns or least[name] > width // 3):  # a short name is not broken
             words = [word for row in rows for word in row[name].split()]
             longest = max(map(cell_len, [*titles[name], *words]), default=0)
             least[name] = min(least[name], max(longest, NARROW if index >= text_columns else 0))

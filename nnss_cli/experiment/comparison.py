@@ -86,9 +86,9 @@ def _differences(name: str, first: Entry | None, second: Entry | None, tolerance
             yield Difference(name, what, a, b)
     errors = [{(score.split, score.output): score.rmse for score in result.scores} for result in (one, other)]
     for split, output in dict.fromkeys([*errors[0], *errors[1]]):
-        a, b = (side.get((split, output)) for side in errors)
-        if a is None or b is None or abs(b - a) > tolerance * abs(a):
-            yield Difference(name, f"RMSE {split} {output}", a, b)
+        was, now = (side.get((split, output)) for side in errors)
+        if was is None or now is None or abs(now - was) > tolerance * abs(was):
+            yield Difference(name, f"RMSE {split} {output}", was, now)
 
 
 def _facts(one: RunResult, other: RunResult) -> Iterator[tuple[str, str, str]]:

@@ -13,7 +13,7 @@ BINS = 240
 """Pieces that a record's width is divided into: a few points of ink each, in a column of a page."""
 PIXELS = 2000
 """Samples from which a line is thinned; it passes through the extremes of each piece, so nothing is lost to the eye."""
-BAND = 0.25  # of the range: what oscillates by more than this within most pieces is a band, not a line
+BAND = 0.1  # of the range: what oscillates by more than this within most pieces is a band, not a line
 
 
 @dataclass(frozen=True)
@@ -62,3 +62,15 @@ def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
     )
     kept = np.unique([0, *kept, len(values) - 1])
     return time[kept], values[kept]
+
+
+def rms(time: FloatArray, values: FloatArray, bins: int = BINS // 3) -> tuple[FloatArray, FloatArray]:
+    """Root mean squares over pieces of a record (bins,), each at its first instant.
+
+    Args:
+        time: instants (K,).
+        values: (K,), K at least `bins`.
+        bins: pieces.
+    """
+    edges = np.linspace(0, len(values), bins + 1).astype(int)
+    return time[edges[:-1]], np.sqrt(np.add.reduceat(values**2, edges[:-1]) / np.diff(edges))

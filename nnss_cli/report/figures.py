@@ -17,13 +17,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.files import write_atomically
-from nnss_cli.report.dense import envelope, is_dense, thinned
+from nnss_cli.report.dense import envelope, is_dense, rms, thinned
 from nnss_cli.report.style import (
     MEASURED,
     SCREEN,
@@ -65,8 +66,9 @@ def draw_boxplot(
     looks = styles_of(methods)
     boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
     with plt.rc_context(look.style):
-        figure, panels = plt.subplots(down, across, figsize=(width, height), squeeze=False, layout="constrained")
-        figure.get_layout_engine().set(w_pad=0.08, h_pad=0.06)
+        figure, panels = plt.subplots(
+            down, across, figsize=(width, height), squeeze=False, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+        )
         for panel in panels.flat[len(values) :]:
             panel.remove()
         for panel, (name, by_method) in zip(panels.flat, values.items(), strict=False):
@@ -77,7 +79,7 @@ def draw_boxplot(
                 panel.set_title(titles[name], fontsize="medium")
         handles = [_legend_entry(looks[method], method in boxed) for method in methods]
         _legend(figure, handles, 3 if across == 1 else 4 if across == 2 else 6)
-        figure.suptitle(textwrap.fill(title, int(width * 15)) if look.width else title, fontsize="large")
+        figure.suptitle(_wrapped(title, width), fontsize="large")
     return figure
 
 
@@ -107,6 +109,11 @@ def _draw_boxes(
     panel.set_xlim(-0.6, len(orders) - 0.4)
     panel.set_yscale("log")
     _few_log_ticks(panel)
+
+
+def _wrapped(title: str, width: float) -> str:
+    """A title in lines that fit into so many inches."""
+    return "\n".join(textwrap.fill(line, int(width * 12.5)) for line in title.splitlines())
 
 
 def _legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
@@ -162,7 +169,7 @@ def draw_simulation(
         zoom: samples of the second column; None for none. In a single column of a paper there is no room for it.
         breaks: samples at which another record begins.
         inputs: name and samples (K,) of each, in panels below; several share one, each over its range.
-        residuals: whether a panel below each output shows measured minus simulated.
+        residuals: whether a panel below each output shows measured minus simulated; of an envelope its rms.
         look: size of the figure.
     """
     m = measured.shape[1]
@@ -193,11 +200,12 @@ def draw_simulation(
                     draw_line(panel, t, y[part, i], dense, label=f"{looks[method].label} {detail}", **style)
                     if residuals:
                         error = measured[part, i] - y[part, i]
-                        draw_line(panels[row + 1, column], t, error, dense, **style | {"linewidth": 0.9})
+                        style = style | {"linewidth": 0.9}
+                        panels[row + 1, column].plot(*(rms(t, error) if dense else thinned(t, error)), **style)
                 panel.set_ylabel(textwrap.fill(str(outputs[i]), 24))
                 if residuals:
                     panels[row + 1, column].axhline(0, color="0.3", linewidth=0.6)
-                    panels[row + 1, column].set_ylabel("residual" + _unit(outputs[i]))
+                    panels[row + 1, column].set_ylabel(f"residual{', rms' * dense}{_unit(outputs[i])}")
             if inputs:
                 _draw_inputs(panels[-1, column], t, [(axis, u[part]) for axis, u in inputs])
             if bands:
@@ -215,7 +223,7 @@ def draw_simulation(
             panel.set_xlabel(f"time [{time_unit}]")
         figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
         _legend(figure, panels[0, 0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
-        figure.suptitle(textwrap.fill(title, int(width * 13)), fontsize="large")
+        figure.suptitle(_wrapped(title, width), fontsize="large")
     return figure
 
 
@@ -298,8 +306,7 @@ def draw_states(
             panel.yaxis.set_major_locator(MaxNLocator(3))
         figure.align_ylabels()
         panels[-1, 0].set_xlabel(f"time [{time_unit}]")
-        width = int((look.width or 7.2) * 13)
-        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize="large")
+        figure.suptitle(_wrapped(title, look.width or 7.2), fontsize="large")
     return figure
 
 

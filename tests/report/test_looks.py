@@ -106,8 +106,12 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     y = np.sin(t / 2)[:, None]
     part = transient(y)
     assert part.stop - part.start == 160
-    figure = figures.draw_simulation(t, y, {"nnss": ("", y)}, [Axis("y", "–")], "s", "x", part)
-    whole, zoom = figure.axes
+    figure = figures.draw_simulation(t, y, {"nnss": ("", y + 0.5)}, [Axis("y", "–")], "s", "x", part, residuals=True)
+    (whole, zoom), (residual, differences) = np.array(figure.axes).reshape(2, 2)
+    np.testing.assert_allclose(residual.lines[0].get_ydata(), np.full(BINS // 3, 0.5))  # root mean squares
+    assert residual.get_ylabel() == "residual, rms"
+    np.testing.assert_allclose(differences.lines[0].get_ydata(), np.full(160, -0.5))
+    assert differences.get_ylabel() == "residual"
     assert (len(whole.collections), len(whole.patches)) == (1, 1)  # the envelope, and where the zoom is
     assert all(len(line.get_ydata()) == BINS for line in whole.lines[:2])
     assert [len(line.get_ydata()) for line in zoom.lines] == [160, 160]
