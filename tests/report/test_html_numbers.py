@@ -69,7 +69,7 @@ def strings(content: Any) -> set[str]:
     if isinstance(content, dict):
         return set().union(*map(strings, content.values()), {str(key) for key in content})
     if isinstance(content, list):
-        return set().union(*map(strings, content))
+        return set().union(*map(strings, content), {json.dumps(content, ensure_ascii=False)})
     return {content} if isinstance(content, str) else {json.dumps(content)}
 
 
