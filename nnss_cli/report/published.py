@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.report.aggregate import (
@@ -45,15 +46,27 @@ PAPERS = {
 """Source → how its figure came about."""
 
 
+Tables: TypeAlias = list[tuple[str, list[dict[str, str]]]]
+"""Title and rows of each table."""
+
+
 def paper_places(results: Sequence[RunResult]) -> str:
+    """`place_tables` as Markdown ("" where there are none)."""
+    return _in_markdown(*place_tables(results))
+
+
+def place_tables(results: Sequence[RunResult]) -> tuple[Tables, list[str]]:
     """The paper's printed errors, those of the released models and ours, by place: a table for each order and output.
 
     Ours are medians over seeds of every method and recipe that ran, on the test record (validation where the files
-    hold none). "" under another protocol than the paper's, and where neither printed nor released errors are known.
+    hold none). None under another protocol than the paper's, and where neither printed nor released errors are known.
+
+    Returns:
+        The tables, and the notes that the sources of their rows refer to.
     """
     first = results[0].spec
     if first.protocol != "paper":
-        return ""
+        return [], []
     split = scored_splits(results)[0]
     several = several_outputs(results)
     printed, released = (table[(table["dataset"] == first.dataset) & (table["split"] == split)] for table in (
@@ -62,7 +75,7 @@ def paper_places(results: Sequence[RunResult]) -> str:
     notes = {source: note for note, source in enumerate(PAPERS, 1)}
     printed_note, released_note = (f"[{note}]" for note in notes.values())
     names = output_names(results[0])
-    parts = []
+    tables = []
     for order in sorted({r.spec.order for r in results}):
         for output in [*names, MEAN] if several else list(names):
             rows = [
@@ -83,11 +96,10 @@ def paper_places(results: Sequence[RunResult]) -> str:
                 continue
             for method in methods_of(results):
                 if method in own:
-                    rows.append(_ours(f"**{method}**", [_error(run, split, output) for run in own[method]]))
+                    rows.append(_ours(method, [_error(run, split, output) for run in own[method]]))
             what = "mean over outputs" if output == MEAN else names[output]
-            parts.append(f"Order {order}, {what}, {split_name(split)}:\n\n{markdown(_by_place(rows))}")
-    lines = [f"[{note}] {source}: {PAPERS[source]}" for source, note in notes.items()]
-    return "\n\n".join([*parts, "  \n".join(lines)]) if parts else ""
+            tables.append((f"Order {order}, {what}, {split_name(split)}", _by_place(rows)))
+    return tables, [f"[{note}] {source}: {PAPERS[source]}" for source, note in notes.items()]
 
 
 def _error(run: RunResult, split: str, output: str) -> float:
@@ -113,12 +125,15 @@ def _by_place(rows: Sequence[tuple[float, dict[str, str]]]) -> list[dict[str, st
 
 def published_comparison(results: Sequence[RunResult]) -> str:
     """`published_tables` as Markdown ("" where there are none)."""
-    tables, notes = published_tables(results)
+    return _in_markdown(*published_tables(results))
+
+
+def _in_markdown(tables: Tables, notes: Sequence[str]) -> str:
     parts = [f"{title}:\n\n{markdown(_ours_in_bold(rows))}" for title, rows in tables]
     return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
 
 
-def published_tables(results: Sequence[RunResult]) -> tuple[list[tuple[str, list[dict[str, str]]]], list[str]]:
+def published_tables(results: Sequence[RunResult]) -> tuple[Tables, list[str]]:
     """A table for each test set: the published errors, and each of our methods at the order that validates best.
 
     Ours are medians over seeds with their intervals; a run without a result counts as ∞. None where nothing is
