@@ -59,7 +59,8 @@ SETTINGS = [
 def model_of(s: Setting, dtype: str, stability: str = "schur") -> NNSS:
     scaling = Scaling(np.zeros(s.r), np.ones(s.r), np.zeros(s.m), np.ones(s.m))
     channels = Channels(("u",) * s.r, ("y",) * s.m, ("",) * s.r, ("",) * s.m)
-    architecture = Architecture(s.n, s.r, s.m, s.hidden, s.encoder, dtype=dtype, stability=stability)
+    hidden = s.hidden[:1] if stability == "incremental" else s.hidden  # it has one layer
+    architecture = Architecture(s.n, s.r, s.m, hidden, s.encoder, dtype=dtype, stability=stability)
     model = NNSS(architecture, scaling, channels, 1.0)
     model.initialise(named_random(0, "weights"))
     return model
@@ -169,11 +170,14 @@ def other_table() -> None:
                 everything = np.arange(batch)
                 return milliseconds(lambda: engine.train_batch(everything, 1), 1.5)
 
-            schur, quadratic = step(s.L, s.batch), step(s.L, s.batch, "quadratic")
+            schur, quadratic, incremental = (
+                step(s.L, s.batch, stability) for stability in ("schur", "quadratic", "incremental")
+            )
             window, record = step(s.L, 1) / s.L, step(2000, 1) / 2000
             rows.append(
                 {
                     "setting": s.name, "precision": dtype, "quadratic / schur": f"{quadratic / schur:.2f}",
+                    "incremental / schur": f"{incremental / schur:.2f}",
                     "window, batch 1 [µs/sample]": f"{1e3 * window:.1f}",
                     "one record of 2000 [µs/sample]": f"{1e3 * record:.1f}",
                     "record / window": f"{record / window:.2f}",

@@ -37,5 +37,5 @@ def parting_model(gamma: float = 0.9) -> NNSS:
 def parting_pair(model: NNSS, steps: int = 60) -> tuple[FloatArray, FloatArray, FloatArray]:
     """u (K, 1), which holds x = `CENTRE`, and x1(0), x2(0) (1,) beside it, 10⁻³ apart: they end 0.7 apart."""
     W, V, *_ = model.matrices(torch.tensor([[CENTRE]], dtype=torch.float64))
-    held = CENTRE * (1 - float(model.state_matrix(W, V)))
+    held = CENTRE * (1 - float(model.state_matrix(W, V).detach()))
     return np.full((steps, 1), held), np.array([CENTRE - 5e-4]), np.array([CENTRE + 5e-4])

@@ -78,12 +78,13 @@ class NNSS(Method):
         return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
 
     def current(self, settings: Settings) -> Settings:
-        """Of an older nnss, in today's names."""
-        if settings.get("stability") != "contraction":
+        """Of an older nnss, in today's names and with the options that were added since, as they were then."""
+        if "stability" not in settings or "gain" in settings:
             return settings
         from nnss_cli.model.architecture import FORMERLY
 
-        return settings | {"stability": FORMERLY["contraction"]}
+        named = str(settings["stability"])
+        return settings | {"stability": FORMERLY.get(named, named), "gain": 0.0}
 
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's recipe."""

@@ -57,6 +57,9 @@ class Lure(nn.Module):
     H are the rows of the units that see u, E the columns of those that y sees.
     """
 
+    X: Tensor
+    scale: Tensor
+
     def __init__(self, a: Architecture) -> None:
         """Zero weights."""
         super().__init__()

@@ -320,7 +320,8 @@ def feedback_start(
     slopes = np.exp(random.uniform(low, high, width)) * random.choice([-1.0, 1.0], width)
     directions = np.resize(G, (width, a.order)) * slopes[:, None]
     centres = x[random.integers(len(x), size=width)]
-    first = cast(torch.nn.Linear, model.generator[0])
+    network = cast(torch.nn.Sequential, model.generator)
+    first = cast(torch.nn.Linear, network[0])
     at = x[:: max(1, len(x) // TARGETS)]
     targets = np.array([np.concatenate(free_matrices(a, feedback.state_matrix(k), np.eye(a.order))) for k in at])
     rho = torch.zeros(len(at), a.scheduling_size, dtype=model.dtype)
@@ -329,7 +330,7 @@ def feedback_start(
         first.weight.zero_()
         first.weight[:, : a.order] = torch.from_numpy(directions)
         first.bias.copy_(torch.from_numpy(-np.sum(directions * centres, axis=1)))
-        features = model.generator[:-1](rho).numpy().astype(np.float64)
+        features = network[:-1](rho).numpy().astype(np.float64)
     affine, *_ = np.linalg.lstsq(np.column_stack([features, np.ones(len(at))]), targets, rcond=CUT)
     set_generator(model, affine[-1], feedback, affine[:-1].T)
     set_encoder(encoder_layers(model), *regress_encoder(np.concatenate([record.y for record in train]), x))

@@ -29,7 +29,7 @@ class CompiledLure:
         self.architecture, self.views = architecture, views
         self.layer = Lure(architecture)
         self.dtype = np.dtype(architecture.dtype)
-        self._seen = np.empty(0)
+        self._seen: FloatArray = np.empty(0)
         self._plain: Arrays = ()
         self._slopes: FloatArray | None = None
 

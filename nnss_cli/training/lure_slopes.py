@@ -140,7 +140,7 @@ def _contraction_with_zero(X: Pair, Y: Pair, margin: float) -> tuple[Pair, Pair]
 def _inverse_factor(Y: Pair) -> tuple[Pair, Pair]:
     """L⁻¹ of LLᵀ = sI + YYᵀ, and s = 1 + σ ‖Y‖²."""
     one = np.eye(len(Y.value))
-    s = Pair(1 + RIDGE * np.sum(Y.value**2), 2 * RIDGE * np.tensordot(Y.move, Y.value, axes=2))
+    s = Pair(np.asarray(1 + RIDGE * np.sum(Y.value**2)), 2 * RIDGE * np.tensordot(Y.move, Y.value, axes=2))
     gram = Y @ Y.T
     inverse = np.linalg.inv(np.linalg.cholesky(s.value * one + gram.value))
     inner = inverse @ (gram.move + s.move[:, None, None] * one) @ inverse.T

@@ -173,7 +173,7 @@ class OutputMatrices(Protocol):
 
 def set_generator(model: NNSS, free: FloatArray, start: OutputMatrices, weights: FloatArray | None = None) -> None:
     """Write the last layer: W, V (5n²,), B, C and D as its bias; `weights` (5n², h) of W and V, all others zero."""
-    output = cast(torch.nn.Linear, model.generator[-1])
+    output = cast(torch.nn.Linear, cast(torch.nn.Sequential, model.generator)[-1])
     with torch.no_grad():
         output.weight.zero_()
         if weights is not None:

@@ -36,7 +36,7 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
-    Since e12defe `feedthrough`, `lead`, `integrator` and `budget` were added, and `initial` of best became auto.
+    Since e12defe `feedthrough`, `lead`, `integrator`, `budget` and `gain` were added; `initial` of best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
@@ -56,11 +56,13 @@ def test_a_recipe_is_the_papers_only_where_every_field_is() -> None:
     papers = method.paper_settings(data.presets, 2)
     assert method.settings(data, 2, {"recipe": "paper"}) == papers
     assert method.settings(data, 2, {"recipe": "paper", "engine": "reference"})["recipe"] == "paper"  # the same numbers
-    assert set(CHANGED) | {"engine", "recipe"} == set(papers)  # a new field is to be added here
+    assert set(CHANGED) | {"engine", "recipe", "gain"} == set(papers)  # a new field is to be added here
     for name, value in CHANGED.items():
         assert method.settings(data, 2, {"recipe": "paper", name: value})["recipe"] == f"paper, changed: {name}"
     several = method.settings(data, 2, {"recipe": "paper", "stability": "none", "hidden": (4,)})
     assert several["recipe"] == "paper, changed: hidden, stability"
+    promising = {"recipe": "paper", "stability": "incremental", "hidden": (4,), "gain": 2.0}  # no gain without
+    assert method.settings(data, 2, promising)["recipe"] == "paper, changed: gain, hidden, stability"
 
 
 def test_the_automatic_engine_is_the_recipes() -> None:
