@@ -27,7 +27,7 @@ def command(
     All values are in the model's normalised units. Exit code 1 when a promised bound is broken.
     """
     from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.experiment.certify import certify
+    from nnss_cli.experiment.certificate import certify
     from nnss_cli.experiment.store import records_of
     from nnss_cli.report.tables import certificate_rows, stress_rows
     from nnss_cli.trained import load, read_record

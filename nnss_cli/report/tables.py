@@ -33,7 +33,7 @@ from nnss_cli.report.aggregate import (
 from nnss_cli.report.statistics import median_interval, quantile
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
-    from nnss_cli.experiment.certify import Certificate
+    from nnss_cli.experiment.certificate import Certificate
 
 
 def number(value: float | None, digits: int = 4) -> str:

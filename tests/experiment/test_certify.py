@@ -15,7 +15,9 @@ from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.certify import _Neural, certify, common_lyapunov
+from nnss_cli.experiment.certificate import certify
+from nnss_cli.experiment.certificate.lyapunov import common_lyapunov
+from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import DTYPES, SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.report.tables import certificate_rows
@@ -142,7 +144,7 @@ def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, s
 
 
 def test_a_record_beyond_the_bound_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_Neural, "output_bounds", lambda _: (0.0, 0.0, 0.0))
+    monkeypatch.setattr(Neural, "output_bounds", lambda _: (0.0, 0.0, 0.0))
     model = random_model(1, "contraction", 0.9)
     broken = certify(model, {"train": (from_output(0.0),), "test": (record(),)}, steps=100).broken
     assert any("along a record of 'train'" in line and "promised at most" in line for line in broken)
