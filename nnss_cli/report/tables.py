@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -31,9 +30,6 @@ from nnss_cli.report.aggregate import (
     test_sets,
 )
 from nnss_cli.report.statistics import median_interval, quantile
-
-if TYPE_CHECKING:  # it imports torch, which a report does without
-    from nnss_cli.experiment.certificate import Certificate
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -192,44 +188,6 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
             "validation": number(row.val),
         }
         for row in rows
-    ]
-
-
-def certificate_rows(found: Certificate) -> list[dict[str, str]]:
-    """A certificate as text."""
-
-    def known(value: float | None) -> str:
-        return "–" if value is None else number(value, 6)
-
-    promise = {
-        "schur": f"ρ(A(ρ)) < {found.gamma:g} at every ρ", "contraction": f"‖A(ρ)‖ < {found.gamma:g} at every ρ",
-    }.get(found.stability, "nothing")  # fmt: skip
-    linear = found.kind == "linear"
-    where = "the only A" if linear else "box, sampled"
-    rows = {
-        **({"examined": found.covers} if found.covers != "the model" else {}),
-        "promised": promise,
-        **{f"largest ρ(A), {split}": known(radius) for split, radius in found.radius.items()},
-        **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
-        f"largest ρ(A), {where}": known(found.box_radius),
-        f"largest ‖A‖, {where}": known(found.box_norm),
-        "certified rate": known(found.gamma) if found.stability == "contraction" else "–",
-        "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
-        "invariant ball ‖x‖ ≤": known(found.invariant_radius),
-        "largest ‖x(0)‖ of the records": known(found.initial_state),
-        "sup‖B‖, sup‖C‖, sup‖D‖": ", ".join(map(known, (found.B_bound, found.C_bound, found.D_bound))),
-        "sup‖u‖": known(found.input_bound),
-        "common Lyapunov matrix": found.lyapunov,
-        "its rate" if linear else "its rate, sampled set": known(found.lyapunov_rate),
-    }
-    return [{"": name, "found": value} for name, value in rows.items()]
-
-
-def stress_rows(found: Certificate) -> list[dict[str, str]]:
-    """Stress runs as text."""
-    return [
-        {"input": run.input, "steps": str(run.steps), "max ‖x‖": number(run.state), "max |y|": number(run.output)}
-        for run in found.stress
     ]
 
 

@@ -20,7 +20,7 @@ from nnss_cli.experiment.certificate.lyapunov import common_lyapunov
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import DTYPES, SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.report.tables import certificate_rows
+from nnss_cli.report.certificates import certificate_rows
 from nnss_cli.training.fast import Weights
 
 UNIT = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
@@ -236,10 +236,10 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     )
     assert trained.code == 0, trained.err
     run = "results/twotank-sim/paper/runs/nnss-n2-s0"
-    outcome = nnss("certify", run, "--steps", "500")
+    outcome = nnss("certify", run, "--steps", "500", "--budget", "0")
     assert outcome.code == 0, outcome.err
     assert "No promised bound is broken" in outcome.out
-    found = json.loads(nnss("certify", run, "--steps", "500", "--json").out)
+    found = json.loads(nnss("certify", run, "--steps", "500", "--budget", "0", "--json").out)
     assert found["state_bound"] > 0
     assert set(found["radius"]) == {"train", "val", "test"}
 
@@ -247,7 +247,7 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     names = json.loads(Path(run, "model.json").read_text())["channels"]
     columns = [*names["inputs"], *names["outputs"]]
     csv.write_text("\n".join([",".join(columns), *("1.0,2.0" for _ in range(20))]))
-    assert nnss("certify", run, "--steps", "500", "--data", str(csv)).code == 0
+    assert nnss("certify", run, "--steps", "500", "--budget", "0", "--data", str(csv)).code == 0
     csv.write_text("a,b\n1,2\n")
     refused = nnss("certify", run, "--data", str(csv))
     assert refused.code == 2

@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
 from nnss_cli.baselines.linear_model import LinearModel
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.iterative import named_random
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.system import System, system_of
 from nnss_cli.training.fast import Weights
 
 HORIZON, ASCENTS, RESTARTS = 120, 25, 8  # of the adversarial input
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a parametrisation promises at every ρ, for all weights."""
+
+    radius: bool
+    """ρ(A(ρ)) < γ."""
+    norm: bool
+    """‖A(ρ)‖₂ < γ, so that ‖x‖² is a Lyapunov function."""
+
+
+PROMISES = {
+    "schur": Promise(radius=True, norm=False),
+    "contraction": Promise(radius=True, norm=True),
+    "none": Promise(radius=False, norm=False),
+}  # fmt: skip
+"""By the name of the option `--stability`."""
 
 
 class Neural:
@@ -25,11 +47,44 @@ class Neural:
         self.covers = (
             "the LPV part: the outputs integrate what it gives and have no bound" if integrates else "the model"
         )
+        self.whole = Weights(model)
+        self.integrates = integrates
         model = model.lpv_part()
         self.model, self.weights = model, Weights(model)
         a = self.architecture = model.architecture
-        self.stability = a.stability
-        self.gamma = a.gamma if a.stability != "none" else math.inf
+        self.stability, self.promise = a.stability, PROMISES[a.stability]
+        self.gamma = a.gamma if self.promise.radius else math.inf
+
+    def constant(self) -> LinearStateSpace | None:
+        """The system, if A, B, C and D do not depend on ρ: nothing schedules, or nothing comes of it."""
+        a = self.architecture
+        layers: Any = self.model.generator
+        first, last = (layer.weight.detach().numpy() for layer in (layers[0], layers[-1]))
+        W, V, *rest = np.split(last, np.cumsum(a.parameter_sizes[:-1]))
+        if self.stability == "none":  # A is a quarter of W
+            W = W.reshape(2 * a.order, 2 * a.order, -1)[: a.order, : a.order]
+        used = [W, *rest, *[V] * (self.stability == "schur")]
+        if first.any() and any(part.any() for part in used):
+            return None
+        parts = self.model.elementary_parts()
+        system = system_of([parts], _unit(a.inputs, a.outputs))
+        z, u = np.zeros(system.size), np.zeros(a.inputs)
+        found = system.frozen(z=z[:, None], u=u[:, None])
+        A, B, C, D = (found[name] for name in "ABCD")
+        return LinearStateSpace(A, B, C, D, self.model.Ts)
+
+    def dynamics(self) -> Dynamics | str:
+        """What proofs over a region speak of, or why there are none."""
+        a = self.architecture
+        parts = a.scheduling.split("+")
+        if "y" in parts:
+            return "it is scheduled on its previous output, for which no region is proved"
+        return Dynamics.of(self.model.elementary_parts(), a.inputs, a.outputs, "u" in parts)
+
+    def in_elementary_operations(self) -> System:
+        """The model in normalised units, to be differentiated."""
+        a = self.architecture
+        return system_of([self.model.elementary_parts()], _unit(a.inputs, a.outputs))
 
     def trajectory(self, record: Record) -> tuple[FloatArray, FloatArray]:
         """y (K, m) and x (K, n) of a record, simulated from y(0)."""
@@ -55,6 +110,13 @@ class Neural:
     def initial_state(self, record: Record) -> FloatArray:
         first = np.asarray(record.y[0], self.weights.vector.dtype)
         return self.weights.encode(first[:, None])[:, 0].astype(np.float64)
+
+    def state_from_window(self, record: Record, w: int) -> FloatArray:
+        """x(0) (n,) that explains the record's first w samples best, as a simulation from them starts."""
+        y = np.array(record.y[:w], self.whole.vector.dtype)
+        guess = self.whole.encode(y[:1].T)[:, 0]
+        found = self.whole.state_from(record.u, y, guess)
+        return np.asarray(found[: self.architecture.order], dtype=np.float64)
 
     def rounding(self) -> float:
         """Relative excess over `state_bound` that rounding explains: η/(1 − γ (1 + η)) where a step errs by η = k u.
@@ -113,6 +175,8 @@ class Linear:
     kind = stability = "linear"
     covers = "the model"
     gamma = math.inf  # a linear method promises nothing
+    promise = PROMISES["none"]
+    integrates = False
 
     def __init__(self, model: LinearModel) -> None:
         self.system = model.system
@@ -132,6 +196,14 @@ class Linear:
 
     def initial_state(self, record: Record) -> FloatArray:
         return self.system.state_from_output(record.y[0], record.u[0])
+
+    def state_from_window(self, record: Record, w: int) -> FloatArray:
+        """x(0) (n,) that explains the record's first w samples best."""
+        return self.system.state_from_outputs(record.y[:w], record.u)
+
+    def constant(self) -> LinearStateSpace:
+        """The system."""
+        return self.system
 
     def output_bounds(self) -> tuple[float, float, float]:
         B, C, D = (float(np.linalg.norm(part, 2)) for part in (self.system.B, self.system.C, self.system.D))
@@ -170,3 +242,8 @@ class Linear:
 
 def radii(matrices: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.linalg.eigvals(matrices)).max(axis=1))
+
+
+def _unit(inputs: int, outputs: int) -> Scaling:
+    """The scaling that changes nothing."""
+    return Scaling(np.zeros(inputs), np.ones(inputs), np.zeros(outputs), np.ones(outputs))
