@@ -40,7 +40,7 @@ def check_schema(content: dict[str, Any]) -> None:
 
 def test_a_folder_of_models_gives_one_table(nnss: Callable) -> None:
     done = nnss(
-        "compare", "twotank-sim", "--orders", "2", "--seeds", "3", "--jobs", "1", "--methods", "nnss", "nnss-ensemble",
+        "compare", "twotank-sim", "--orders", "2", "--seeds", "1", "--jobs", "1", "--methods", "nnss", "nnss-ensemble",
         "n4sid", *QUICK,
     )  # fmt: skip
     assert done.code == 0, done.err
@@ -55,9 +55,7 @@ def test_a_folder_of_models_gives_one_table(nnss: Callable) -> None:
     assert outcome.code == 0, outcome.err
     found = json.loads(outcome.out)
     names = [each.pop("model") for each in found["models"]]
-    assert set(names) >= {f"paper/nnss-n2-s{seed}" for seed in range(3)} | {"paper/n4sid-n2-s0"}
-    assert {"paper/nnss-ensemble-n2-s0, member 1", "paper/nnss-ensemble-n2-s0, member 2"} <= set(names)
-    assert len(names) == 6
+    assert names == ["paper/n4sid-n2-s0", "paper/nnss-ensemble-n2-s0, member 1", "paper/nnss-n2-s0"]
     for each in found["models"]:
         check_schema(each)
     (skipped,) = found["skipped"]
@@ -68,20 +66,17 @@ def test_a_folder_of_models_gives_one_table(nnss: Callable) -> None:
 
     table = nnss("certify", "results", *FAST)
     assert table.code == 0, table.err
-    assert "6 models" in table.out
+    assert "3 models" in table.out
     assert "skipped: " in table.out
-    assert len(folders_below(Path("results"))) == len(folders_below(runs)) == 6
+    assert len(folders_below(Path("results"))) == len(folders_below(runs)) == 4
 
     single = nnss("certify", str(runs / "nnss-n2-s0"), *FAST)
     assert "what is known" in single.out
-    one = json.loads(nnss("certify", str(runs / "nnss-n2-s0"), *FAST, "--json").out)
-    check_schema(one)
-    assert one == one | {
-        k: v for k, v in found["models"][names.index("paper/nnss-n2-s0")].items() if "seconds" not in k
-    }
-    for folder in runs.iterdir():
+    for folder in [*runs.glob("n*-s0"), runs / "notes"]:
         shutil.rmtree(folder)
-    assert nnss("certify", "results", *FAST).code == 2
+    refused = nnss("certify", "results", *FAST)  # the damaged one is left
+    assert refused.code == 2
+    assert "model.json" in refused.err
 
 
 def test_wrong_json_is_no_certificate(nnss: Callable) -> None:

@@ -441,3 +441,9 @@ def test_adjoint_gradients_are_those_of_differences(scheduling: str) -> None:
     step = np.zeros_like(x0)
     step[1, 0] = 1e-6
     assert of_x[1, 0] == pytest.approx((cost(u, x0 + step) - cost(u, x0 - step)) / 2e-6, rel=1e-5, abs=1e-7)
+
+
+def test_the_riccati_equation_is_not_believed_without_its_inequality(monkeypatch: pytest.MonkeyPatch) -> None:
+    system = LinearStateSpace(np.array([[0.9]]), np.ones((1, 1)), np.array([[2.0]]), np.zeros((1, 1)), 1.0)
+    monkeypatch.setattr(lti, "weighted_norm", lambda *_: 1.0 + 1e-15)
+    assert not lti._bounded_real(system, 20 * 1.001, 1e-3)
