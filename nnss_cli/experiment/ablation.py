@@ -107,7 +107,7 @@ def ablate(
 
 def _diverges(store: Store, result: RunResult) -> bool:
     """Whether the state leaves the range of numbers under the stress inputs."""
-    from nnss_cli.experiment.certify import certify
+    from nnss_cli.experiment.certificate import certify
 
     if result.status != "ok":  # there is no model to try
         return False

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.certify import Certificate, certify
+from nnss_cli.experiment.certificate import Certificate, certify
 from nnss_cli.trained import TrainedModel
 from nnss_cli.version import __version__
 

@@ -66,7 +66,9 @@ def nnss_parts(
         if a.stability == "schur":
             K = V - V.T
             margin = schur_margin(n, a.dtype)
-            added = (size + (K * K).sum().root() / math.sqrt(2)) * margin + a.epsilon
+            if n > 1:  # else K is 0, where its norm has no derivative
+                size = size + (K * K).sum().root() / math.sqrt(2)
+            added = size * margin + a.epsilon
             S11, S22 = gram[:n, :n] + added * b.constant(one), gram[n:, n:] + added * b.constant(one)
             M = (S11 / a.gamma**2 + S22) * 0.5 + K
             return gram[:n, n:] @ solve(M, b)

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -33,10 +32,6 @@ from nnss_cli.report.aggregate import (
 )
 from nnss_cli.report.cells import Cell, whole
 from nnss_cli.report.statistics import median_interval, quantile
-
-if TYPE_CHECKING:  # it imports torch, which a report does without
-    from nnss_cli.experiment.certify import Certificate
-
 
 SIGMA_AND_FIT = (
     "RMSE/σ: σ is the output's standard deviation over the data that the protocol scales with, the training data "
@@ -301,42 +296,6 @@ def promise_of(stability: str, gamma: float) -> str:
         "incremental": f"‖x1(k) − x2(k)‖ ≤ {gamma:g}ᵏ ‖x1(0) − x2(0)‖ under any one input",
         "schur": f"ρ(A(ρ)) < {gamma:g} at every ρ", "quadratic": f"‖A(ρ)‖ < {gamma:g} at every ρ",
     }.get(stability, "nothing")  # fmt: skip
-
-
-def certificate_rows(found: Certificate) -> list[dict[str, str]]:
-    """A certificate as text."""
-
-    def known(value: float | None) -> str:
-        return "–" if value is None else number(value, 6)
-
-    promise = promise_of(found.stability, found.gamma)
-    linear = found.kind == "linear"
-    where = "the only A" if linear else "box, sampled"
-    rows = {
-        **({"examined": found.covers} if found.covers != "the model" else {}),
-        "promised": promise,
-        **{f"largest ρ(A), {split}": known(radius) for split, radius in found.radius.items()},
-        **{f"largest ‖x‖, {split}": known(state) for split, state in found.state.items()},
-        f"largest ρ(A), {where}": known(found.box_radius),
-        f"largest ‖A‖, {where}": known(found.box_norm),
-        "certified rate": known(found.gamma) if found.stability in ("quadratic", "incremental") else "–",
-        "certified sup‖x‖": f"{known(found.state_bound)}{', for ' * bool(found.holds_for)}{found.holds_for}",
-        "invariant ball ‖x‖ ≤": known(found.invariant_radius),
-        "largest ‖x(0)‖ of the records": known(found.initial_state),
-        "sup‖B‖, sup‖C‖, sup‖D‖": ", ".join(map(known, (found.B_bound, found.C_bound, found.D_bound))),
-        "sup‖u‖": known(found.input_bound),
-        "common Lyapunov matrix": found.lyapunov,
-        "its rate" if linear else "its rate, sampled set": known(found.lyapunov_rate),
-    }
-    return [{"": name, "found": value} for name, value in rows.items()]
-
-
-def stress_rows(found: Certificate) -> list[dict[str, str]]:
-    """Stress runs as text."""
-    return [
-        {"input": run.input, "steps": str(run.steps), "max ‖x‖": number(run.state), "max |y|": number(run.output)}
-        for run in found.stress
-    ]
 
 
 def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dict[str, str]]:

@@ -15,10 +15,12 @@ from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.certify import _Neural, certify, common_lyapunov
+from nnss_cli.experiment.certificate import certify
+from nnss_cli.experiment.certificate.lyapunov import common_lyapunov
+from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import DTYPES, SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.report.tables import certificate_rows
+from nnss_cli.report.certificates import certificate_rows
 from nnss_cli.training.fast import Weights
 
 UNIT = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
@@ -142,7 +144,7 @@ def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, s
 
 
 def test_a_record_beyond_the_bound_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_Neural, "output_bounds", lambda _: (0.0, 0.0, 0.0))
+    monkeypatch.setattr(Neural, "output_bounds", lambda _: (0.0, 0.0, 0.0))
     model = random_model(1, "quadratic", 0.9)
     broken = certify(model, {"train": (from_output(0.0),), "test": (record(),)}, steps=100).broken
     assert any("along a record of 'train'" in line and "promised at most" in line for line in broken)
@@ -234,10 +236,10 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     )
     assert trained.code == 0, trained.err
     run = "results/twotank-sim/paper/runs/nnss-n2-s0"
-    outcome = nnss("certify", run, "--steps", "500")
+    outcome = nnss("certify", run, "--steps", "500", "--budget", "0")
     assert outcome.code == 0, outcome.err
     assert "No promised bound is broken" in outcome.out
-    found = json.loads(nnss("certify", run, "--steps", "500", "--json").out)
+    found = json.loads(nnss("certify", run, "--steps", "500", "--budget", "0", "--json").out)
     assert found["state_bound"] > 0
     assert set(found["radius"]) == {"train", "val", "test"}
 
@@ -245,7 +247,7 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     names = json.loads(Path(run, "model.json").read_text())["channels"]
     columns = [*names["inputs"], *names["outputs"]]
     csv.write_text("\n".join([",".join(columns), *("1.0,2.0" for _ in range(20))]))
-    assert nnss("certify", run, "--steps", "500", "--data", str(csv)).code == 0
+    assert nnss("certify", run, "--steps", "500", "--budget", "0", "--data", str(csv)).code == 0
     csv.write_text("a,b\n1,2\n")
     refused = nnss("certify", run, "--data", str(csv))
     assert refused.code == 2

@@ -5,7 +5,7 @@ import torch
 from nnss_cli.datasets.record import Record
 from parting import parting_model, parting_pair
 
-from nnss_cli.experiment.certify import certify
+from nnss_cli.experiment.certificate import certify
 from nnss_cli.training.fast import Weights
 
 

@@ -1,0 +1,151 @@
+"""The exact answers for one A, B, C, D: a Lyapunov matrix and the H∞ norm, each with a proof in floating point.
+
+The norm is bracketed: from below by the frequency response, from above by a γ whose bounded real lemma holds,
+
+    ‖ [S⁻¹AS, S⁻¹B/γ; CS, D/γ] ‖₂ ≤ 1   for some S
+
+γ is found by bisection on whether the symplectic pencil of the lemma's Riccati equation has eigenvalues on the unit
+circle (S. Boyd, V. Balakrishnan and P. Kabamba, Math. Control Signals Systems 2, 1989, in discrete time); S follows
+from the Riccati equation, and the inequality is then checked with all rounding, so that nothing rests on eigenvalues.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import FloatArray
+from nnss_cli.experiment.certificate.affine import EPS
+from nnss_cli.experiment.certificate.region import inverse, product
+
+BISECTIONS = 60
+ABOVE = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # what is tried on top of the bisection's γ, relative
+GRID = 2000
+
+
+@dataclass(frozen=True)
+class Norm:
+    """sup over frequencies of the largest singular value of C (e^{jω} I − A)⁻¹ B + D."""
+
+    low: float
+    """Reached at `frequency`, up to rounding."""
+    high: float | None
+    """Proved; None where the system is not stable, or nothing could be proved."""
+    frequency: float
+    """ω in [0, π] where `low` is reached [rad/sample]."""
+
+
+def lyapunov(A: FloatArray) -> tuple[float, FloatArray] | None:
+    """r < 1 and S with ‖S⁻¹AS‖ ≤ r proved, r close to ρ(A); None without."""
+    radius = float(np.abs(np.linalg.eigvals(A)).max())
+    for share in (1e-6, 1e-4, 1e-2, 0.1, 0.5):
+        r = radius + share * (1 - radius)
+        if not 0 < r < 1:
+            if radius > 0:
+                return None
+            r = share
+        try:
+            Q = scipy.linalg.solve_discrete_lyapunov((A / r).T, np.eye(len(A)))
+            S = np.linalg.inv(np.linalg.cholesky((Q + Q.T) / 2)).T
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        bound = weighted_norm(A, S)
+        if bound < 1:
+            return bound, S
+    return None
+
+
+def eigenvalue_margin(A: FloatArray) -> float:
+    """How far computed eigenvalues may be off: ‖A‖ n ε times the condition of the eigenvectors (Bauer and Fike)."""
+    vectors = np.linalg.eig(A)[1]
+    condition = float(np.linalg.cond(vectors))
+    return 20 * len(A) * EPS * condition * float(np.linalg.norm(A)) if np.isfinite(condition) else np.inf
+
+
+def weighted_norm(blocks: FloatArray, S: FloatArray, gamma: float = 1.0) -> float:
+    """Bound on ‖diag(S⁻¹, I) [A, B; C, D] diag(S, I/γ)‖₂, rounding included; A alone is [A]."""
+    n = len(S)
+    back = inverse(S)
+    rows, cols = blocks.shape[0] - n, blocks.shape[1] - n
+    right = scipy.linalg.block_diag(S, np.eye(cols) / gamma)
+    c, r = scipy.linalg.block_diag(back.c, np.eye(rows)), scipy.linalg.block_diag(back.r, np.zeros((rows, rows)))
+    left = type(back)(c, np.zeros((1, *c.shape)), r)
+    found = product(product(left, blocks), right)
+    return float(np.linalg.norm(found.c, 2) + np.linalg.norm(found.r)) * (1 + 1e-13)
+
+
+def response(system: LinearStateSpace, frequencies: FloatArray) -> FloatArray:
+    """Largest singular values (N,) of the frequency response."""
+    s = system
+    z = np.exp(1j * frequencies)[:, None, None] * np.eye(s.order)
+    G = s.C @ np.linalg.solve(z - s.A, np.broadcast_to(s.B.astype(complex), (len(z), *s.B.shape))) + s.D
+    return np.asarray(np.linalg.norm(G, 2, axis=(1, 2)))
+
+
+def norm(system: LinearStateSpace) -> Norm:
+    """The H∞ norm, bracketed; high is None where ρ(A) < 1 is not proved."""
+    if lyapunov(system.A) is None:
+        return Norm(0.0, None, 0.0)
+    angles = np.abs(np.angle(np.linalg.eigvals(system.A)))
+    # close to each pole's angle, and everywhere
+    grid = np.unique(np.clip(np.concatenate([
+        np.linspace(0, np.pi, GRID), np.geomspace(1e-8, np.pi, GRID),
+        *(angle + np.concatenate([-np.geomspace(1e-8, 1, 100), [0], np.geomspace(1e-8, 1, 100)]) for angle in angles),
+    ]), 0, np.pi))  # fmt: skip
+    sizes = response(system, grid)
+    at = int(np.argmax(sizes))
+    low, frequency = float(sizes[at]), float(grid[at])
+    if low == 0.0:
+        return Norm(0.0, 0.0, 0.0)
+    below, above = low, low * 1.001
+    while _crosses(system, above) and above < 1e6 * low:
+        below, above = above, above * 2
+    for _ in range(BISECTIONS):
+        middle = (below + above) / 2
+        below, above = (middle, above) if _crosses(system, middle) else (below, middle)
+    for share in ABOVE:
+        gamma = above * (1 + share)
+        if _bounded_real(system, gamma, share):
+            return Norm(low * (1 - 1e-9), gamma, frequency)
+    return Norm(low * (1 - 1e-9), None, frequency)
+
+
+def _crosses(system: LinearStateSpace, gamma: float) -> bool:
+    """Whether γ is a singular value of the response at some frequency, as far as eigenvalues tell."""
+    s = system
+    R = gamma**2 * np.eye(s.B.shape[1]) - s.D.T @ s.D
+    try:
+        if np.linalg.eigvalsh(R).min() <= 0:
+            return True
+        back = np.linalg.inv(R)
+    except np.linalg.LinAlgError:
+        return True
+    A = s.A + s.B @ back @ s.D.T @ s.C
+    n = s.order
+    E, F = s.B @ back @ s.B.T, s.C.T @ (np.eye(len(s.C)) + s.D @ back @ s.D.T) @ s.C
+    left = np.block([[A, np.zeros((n, n))], [-F, np.eye(n)]])
+    right = np.block([[np.eye(n), -E], [np.zeros((n, n)), A.T]])
+    values = scipy.linalg.eigvals(left, right)
+    return bool((np.abs(np.abs(values[np.isfinite(values)]) - 1) < 1e-9).any())
+
+
+def _bounded_real(system: LinearStateSpace, gamma: float, share: float) -> bool:
+    """Whether the lemma holds for γ with the S of a Riccati equation that has some room."""
+    s = system
+    blocks = np.block([[s.A, s.B], [s.C, s.D]])
+    inside = gamma * (1 - share / 2)
+    R = s.D.T @ s.D - inside**2 * np.eye(s.B.shape[1])
+    size = float(np.linalg.norm(s.C, 2)) ** 2 + EPS
+    for room in (1e-1, 1e-3, 1e-6, 1e-9):
+        Q = s.C.T @ s.C + room * share * size * np.eye(s.order)
+        try:
+            P = scipy.linalg.solve_discrete_are(s.A, s.B, Q, R, s=s.C.T @ s.D)
+            S = np.linalg.inv(np.linalg.cholesky((P + P.T) / 2)).T
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if weighted_norm(blocks, S, gamma) <= 1:
+            return True
+    return False
