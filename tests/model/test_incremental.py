@@ -337,7 +337,7 @@ def test_a_folder_keeps_it(tmp_path: Any) -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"scheduling": "x+y"}, "expected scheduling x or x+u, found x\\+y"),
+        ({"scheduling": "x+y"}, r"expected scheduling x or x\+u, found x\+y"),
         ({"hidden": (4, 4)}, "expected one hidden layer, found 2"),
         ({"gain": -1.0}, "gain: expected a positive bound"),
         ({"gain": float("nan")}, "gain: expected a positive bound"),
