@@ -37,11 +37,11 @@ def command(
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import console, name_of, print_rows, tell_left_out
     from nnss_cli.commands.events import emit
+    from nnss_cli.datasets.units import titled
     from nnss_cli.experiment.ablation import ablate
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_study
-    from nnss_cli.report.simulation import titled
     from nnss_cli.report.tables import study_rows
 
     workers = opt.check_counts(seeds, jobs)

@@ -290,8 +290,10 @@ def order_rows(rows: Sequence[OrderRow], chosen: int) -> list[dict[str, str]]:
     ]
 
 
-def promise_of(stability: str, gamma: float) -> str:
+def promise_of(stability: str, gamma: float | None) -> str:
     """What an option of stability promises of every model that is made with it."""
+    if gamma is None:
+        return "nothing"
     return {
         "incremental": f"‖x1(k) − x2(k)‖ ≤ {gamma:g}ᵏ ‖x1(0) − x2(0)‖ under any one input",
         "schur": f"ρ(A(ρ)) < {gamma:g} at every ρ", "quadratic": f"‖A(ρ)‖ < {gamma:g} at every ρ",

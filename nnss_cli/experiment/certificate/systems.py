@@ -137,8 +137,8 @@ class Neural:
         """sup‖B‖₂, sup‖C‖₂ and sup‖D‖₂: entry by entry over all outputs in [0, 1] of the last sigmoid layer."""
         a = self.architecture
         if isinstance(self.model.generator, Lure):
-            B, C, D = (float(np.linalg.norm(part, 2)) for part in self.model.generator.output_bounds())
-            return B, C, D
+            of_B, of_C, of_D = (float(np.linalg.norm(part, 2)) for part in self.model.generator.output_bounds())
+            return of_B, of_C, of_D
         layer: Any = self.model.generator[-1]
         weight, bias = (tensor.detach().numpy().astype(np.float64) for tensor in (layer.weight, layer.bias))
         highest = bias + np.maximum(weight, 0).sum(axis=1)

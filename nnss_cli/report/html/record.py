@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.agreement import Table
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
@@ -33,7 +34,6 @@ from nnss_cli.report.html.pictures import Picture, draw_boxes
 from nnss_cli.report.html.signals import simulation_traces, state_trace
 from nnss_cli.report.html.trace import Trace
 from nnss_cli.report.published import place_tables, published_tables
-from nnss_cli.report.simulation import titled
 from nnss_cli.report.statistics import median_interval, quantile
 from nnss_cli.report.tables import failures, number, remarks, versions_apart
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.modelfile import Tensors
@@ -15,7 +16,6 @@ from nnss_cli.report.aggregate import best_by_method, scored_splits, split_name
 from nnss_cli.report.build import HOUR, joined, record_lengths, starts
 from nnss_cli.report.html.looks import Look
 from nnss_cli.report.html.trace import Panel, Series, Trace, draw_trace
-from nnss_cli.report.simulation import titled
 
 
 def simulation_traces(store: Store, results: Sequence[RunResult], looks: dict[str, Look], anchor: str) -> list[Trace]:
