@@ -169,7 +169,8 @@ ROUNDING = 8 * np.finfo(np.float64).eps
 
 def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     lowest, highest = values.min(axis=0), values.max(axis=0)
-    constant = highest - lowest <= ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
+    grid = np.maximum(ROUNDING * np.maximum(np.abs(lowest), np.abs(highest)), np.finfo(np.float64).tiny)
+    constant = highest - lowest <= grid
     # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
     mean = np.where(constant, values[0], values.mean(axis=0))
     freedom = 1 if len(values) > 1 else 0

@@ -72,19 +72,19 @@ class NNSS(Method):
             recipe = recipe.replace(initial="feedback")  # what is asked for holds for every candidate
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(data.train, recipe.window)
-        # the label is the recipe's only where every field is; engines compute the same
+        # the label is the recipe's only where every field is; engines and threads compute the same
         own = {f.name for f in fields(Recipe)}
-        changed = [f for f in own if f != "engine" and getattr(recipe, f) != getattr(known, f)]
+        changed = [f for f in own if f not in ("engine", "threads") and getattr(recipe, f) != getattr(known, f)]
         return asdict(recipe) | {"recipe": f"{name}, changed: {', '.join(sorted(changed))}" if changed else name}
 
     def current(self, settings: Settings) -> Settings:
         """Of an older nnss, in today's names and with the options that were added since, as they were then."""
-        if "stability" not in settings or "gain" in settings:
+        if "stability" not in settings:
             return settings
         from nnss_cli.model.architecture import FORMERLY
 
         named = str(settings["stability"])
-        return settings | {"stability": FORMERLY.get(named, named), "gain": 0.0}
+        return {"gain": 0.0, "judge": "validation", "threads": 1} | settings | {"stability": FORMERLY.get(named, named)}
 
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's recipe."""

@@ -21,7 +21,9 @@ def test_a_fit_says_what_it_waits_for(tmp_path, nnss) -> None:
     for name, own in (("nnss", changes), ("ssest", {})):
         settings = METHODS[name].settings(data.fitting, 1, own)
         spec = RunSpec(data.name, data.protocol, name, 1, 0, settings, data.fingerprint(), "1")
-        Serial(data, store, heard.append).submit(Task(spec, store.stamp(spec)))
+        executor = Serial(data, store, heard.append)
+        executor.submit(Task(spec))
+        executor.wait(1)
     told = {(event.spec.method, event.waits_for, event.begun) for event in heard if event.waits_for}
     assert told >= {
         ("nnss", "compiling", False), ("nnss", "SSEST, to start from", True),

@@ -36,7 +36,8 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
-    Since e12defe `feedthrough`, `lead`, `integrator`, `budget` and `gain` were added; `initial` of best became auto.
+    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge` and `threads` were added; `initial` of
+    best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
@@ -46,7 +47,7 @@ CHANGED = {
     "integrator": "auto", "gamma": 0.9, "epsilon": 1e-3, "dtype": "float64", "window": 40, "stride": 3, "batch": 7,
     "learning_rate": 0.01, "consistency": 0.5, "epochs": 7, "patience": 9, "patience_unit": "epochs",
     "improvement": 0.1, "optimiser": "lbfgs", "lead": 10, "refine": 3, "initial": "linear", "fixed_encoder": True,
-    "budget": 60.0,
+    "budget": 60.0, "judge": "blocks",
 }  # fmt: skip
 
 
@@ -56,7 +57,8 @@ def test_a_recipe_is_the_papers_only_where_every_field_is() -> None:
     papers = method.paper_settings(data.presets, 2)
     assert method.settings(data, 2, {"recipe": "paper"}) == papers
     assert method.settings(data, 2, {"recipe": "paper", "engine": "reference"})["recipe"] == "paper"  # the same numbers
-    assert set(CHANGED) | {"engine", "recipe", "gain"} == set(papers)  # a new field is to be added here
+    assert method.settings(data, 2, {"recipe": "paper", "threads": 2})["recipe"] == "paper"
+    assert set(CHANGED) | {"engine", "threads", "recipe", "gain"} == set(papers)  # a new field is to be added here
     for name, value in CHANGED.items():
         assert method.settings(data, 2, {"recipe": "paper", name: value})["recipe"] == f"paper, changed: {name}"
     several = method.settings(data, 2, {"recipe": "paper", "stability": "none", "hidden": (4,)})

@@ -12,8 +12,10 @@ from nnss_cli.datasets.record import Dataset, Record
 from nnss_cli.datasets.windows import beginnings
 
 from nnss_cli.iterative import EarlyStopping
+from nnss_cli.training import candidates
 from nnss_cli.training import fit as module
-from nnss_cli.training.fit import _adam, _after, _Clock, _lbfgs, _Watch, stages, train_nnss, worth_trying
+from nnss_cli.training.candidates import worth_trying
+from nnss_cli.training.fit import _adam, _after, _Clock, _lbfgs, _Watch, stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 GAUSS = Recipe(
@@ -276,8 +278,8 @@ def test_an_alternative_is_tried_where_training_data_speak_for_it(
     recipe = recipe_of("best", {}, 2).replace(feedthrough="auto", integrator="auto")
 
     def tried(p: float = 1.0, constant: float = 0.0, order: int = outputs + 1) -> tuple[str, ...]:
-        monkeypatch.setattr(module, "feedthrough_p_value", lambda _: p)
-        monkeypatch.setattr(module, "longest_time_constant", lambda _: constant)
+        monkeypatch.setattr(candidates, "feedthrough_p_value", lambda _: p)
+        monkeypatch.setattr(candidates, "longest_time_constant", lambda _: constant)
         return worth_trying(data, order, recipe, data.train)
 
     assert "feedthrough" in tried(p=0.01)

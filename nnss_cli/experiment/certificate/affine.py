@@ -90,6 +90,7 @@ def _product(_: Node, a: Value, b: Value) -> Affine:
     return _times(a, b, np.matmul, (a.c if isinstance(a, Affine) else a).shape[-1])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # 0 times an infinite remainder is not a number, and proves nothing
 def _times(a: Value, b: Value, of: Callable[..., Any], terms: int) -> Affine:
     """A bilinear operation that sums up as many terms an entry."""
     if not isinstance(b, Affine):
