@@ -116,7 +116,7 @@ def compare(
     Raises:
         InputError: whatever is wrong with the files or arguments, in one line.
 
-    Example:
+    Examples:
         >>> study = compare(
         ...     "plant.csv", inputs=["u"], outputs=["y"], Ts=0.1, orders=[1, 2], seeds=1, methods=["n4sid", "ssregest"]
         ... )
@@ -165,7 +165,7 @@ def fit(
         InputError: whatever is wrong with the files or arguments.
         NoModelError: the fit diverged or could not be done; the message says why.
 
-    Example:
+    Examples:
         >>> model = fit("plant.csv", 2, method="n4sid", inputs=["u"], outputs=["y"], Ts=0.1)
         >>> model.simulate([0.0, 1.0, 1.0, 0.0]).y.shape  # at rest under the first input
         (4, 1)
@@ -193,7 +193,7 @@ def inspect(files: str | Path | Sequence[str | Path], **record: Any) -> Seen:
     Raises:
         InputError: a file cannot be read, or has no such column.
 
-    Example:
+    Examples:
         >>> seen = inspect("plant.csv", inputs=["u"], outputs=["y"], Ts=0.1)
         >>> [channel.name for channel in seen.found.channels]
         ['u', 'y']
