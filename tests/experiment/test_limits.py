@@ -1,20 +1,25 @@
 """What a run may take, how its loss is told and how often it is tried, without a process being started."""
 
+import contextlib
 import itertools
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import InputError
-from nnss_cli.experiment import processes, sweep
+from nnss_cli.experiment import outcomes, processes
 from nnss_cli.experiment.estimate import DAY, OVERHEAD, amount, duration, estimate
-from nnss_cli.experiment.executor import Loss, Outcome, Task
-from nnss_cli.experiment.processes import Limits, Processes
+from nnss_cli.experiment.executor import Limits, Lost, Task
+from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.sweep import check_count
+from nnss_cli.version import __version__
 
 SPEC = RunSpec("tank", "strict", "nnss", 2, 0, {"epochs": 10}, "0", "1")
 
@@ -50,7 +55,7 @@ class Process:
 
 def worker(seconds: float | None = None, exitcode: int | None = None, task: bool = True) -> Any:
     made = processes._Worker(Process(exitcode), None)  # type: ignore[arg-type]
-    made.task = Task(SPEC, None, "nnss") if task else None  # type: ignore[arg-type]
+    made.future = Future() if task else None
     made.since = None if seconds is None else 100.0 - seconds
     return made
 
@@ -63,16 +68,21 @@ def limited(monkeypatch: pytest.MonkeyPatch) -> Any:
     return lambda **limits: Processes(0, None, None, Limits(**limits), lambda _: None)  # type: ignore[arg-type]
 
 
+def told(lost: Lost | None) -> tuple[str, str, float, bool] | None:
+    """Its status, reason and time, and whether it is worth another try."""
+    return None if lost is None else (lost.status, lost.reason, lost.seconds, lost.again)
+
+
 def test_a_run_is_lost_when_it_goes_beyond_a_limit_and_not_before(limited: Any) -> None:
     ten = limited(seconds=10)
-    assert ten._loss(worker(10.0), False) is None
-    assert ten._loss(worker(10.5), False) == Loss("timeout", "took longer than the 10 s of --time-limit", 10.5)
-    assert ten._loss(worker(), False) is None, "it has not begun to fit"
-    assert ten._loss(worker(99.0, task=False), False) is None, "it has nothing to do"
-    held = limited(bytes=2_000_000_000)._loss(worker(3.0), False)
-    assert held == Loss("memory", "its process held 2.50 GB, more than the 2 of --memory-limit", 3.0)
-    assert limited(bytes=2_500_000_000)._loss(worker(3.0), False) is None
-    assert limited()._loss(worker(1e9), False) is None
+    assert ten._lost(worker(10.0), False) is None
+    assert told(ten._lost(worker(10.5), False)) == ("timeout", "took longer than the 10 s of --time-limit", 10.5, False)
+    assert ten._lost(worker(), False) is None, "it has not begun to fit"
+    assert ten._lost(worker(99.0, task=False), False) is None, "it has nothing to do"
+    held = limited(bytes=2_000_000_000)._lost(worker(3.0), False)
+    assert told(held) == ("memory", "its process held 2.50 GB, more than the 2 of --memory-limit", 3.0, False)
+    assert limited(bytes=2_500_000_000)._lost(worker(3.0), False) is None
+    assert limited()._lost(worker(1e9), False) is None
 
 
 @pytest.mark.parametrize(
@@ -83,10 +93,11 @@ def test_a_run_is_lost_when_it_goes_beyond_a_limit_and_not_before(limited: Any) 
     ],
 )  # fmt: skip
 def test_a_process_that_is_gone_tells_how_it_ended(code: int | None, said: str, limited: Any) -> None:
-    assert limited()._loss(worker(2.0, code), True) == Loss("crashed", f"its process ended twice ({said})", 2.0)
+    expected = ("crashed", f"its process ended twice ({said})", 2.0, True)
+    assert told(limited()._lost(worker(2.0, code), True)) == expected
     ended = worker(2.0, code)
     ended.ended = True
-    assert limited()._loss(ended, False) == limited()._loss(worker(2.0, code), True)
+    assert told(limited()._lost(ended, False)) == expected
 
 
 def test_the_parent_looks_again_when_a_limit_may_be_reached(limited: Any) -> None:
@@ -107,63 +118,104 @@ def test_the_parent_looks_again_when_a_limit_may_be_reached(limited: Any) -> Non
 
 
 class Scripted:
-    """An executor of one place whose outcomes are given: a loss, a result, or None for another command's run."""
+    """An executor of one place whose outcomes are given: 'ok', or the status of a loss, with '…' for another try."""
 
-    def __init__(self, outcomes: Sequence[str | None]) -> None:
-        self.outcomes, self.tasks, self.submitted = iter(outcomes), [], 0
+    def __init__(self, outcomes: Sequence[str]) -> None:
+        self.outcomes, self.running, self.submitted = iter(outcomes), [], 0
 
     @property
     def free(self) -> int:
-        return 1 - len(self.tasks)
+        return 1 - len(self.running)
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task) -> Future[RunResult]:
         assert self.free
         self.submitted += 1
-        self.tasks.append(task)
+        self.running.append((task, Future()))
+        return self.running[-1][1]
 
-    def wait(self, seconds: float) -> list[Outcome]:
-        if not self.tasks:
-            return []
-        task, what = self.tasks.pop(), next(self.outcomes)
-        if what == "ok":
-            return [Outcome(task, RunResult(task.spec, "ok", "", (), 1, 1.0, {}, {}, {}))]
-        if what is None:
-            return [Outcome(task)]
-        status, _, final = what.partition(" ")
-        return [Outcome(task, loss=Loss(status, "why", 1.0, bool(final)))]  # type: ignore[arg-type]
+    def wait(self, seconds: float) -> None:
+        if self.running:
+            (task, future), what = self.running.pop(), next(self.outcomes)
+            if what == "ok":
+                future.set_result(result(task.spec, "ok"))
+            else:
+                future.set_exception(Lost(what.rstrip("…"), "why", 1.0, what.endswith("…")))  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        pass
+
+
+class Folder:
+    """A store whose runs' locks other commands hold at first, so many times; it keeps what it is told to."""
+
+    def __init__(self, held: int = 0, meanwhile: RunResult | None = None) -> None:
+        self.held, self.meanwhile, self.locked, self.written = held, meanwhile, 0, []
+
+    @contextlib.contextmanager
+    def lock(self, spec: RunSpec) -> Iterator[bool]:
+        self.held -= 1
+        if self.held >= 0:
+            yield False
+            return
+        self.locked += 1
+        yield True
+        self.locked -= 1
+
+    def stamp(self, spec: RunSpec) -> Any:
+        return "another" if self.meanwhile is not None else None
+
+    def find(self, spec: RunSpec) -> RunResult | None:
+        return self.meanwhile
+
+    def clear(self, spec: RunSpec) -> None:
+        pass
+
+    def write(self, result: RunResult, signals: Any) -> None:
+        self.written.append(result)
+
+
+def result(spec: RunSpec, status: Any) -> RunResult:
+    return RunResult(spec, status, "" if status == "ok" else "why", (), 0, 1.0, {}, {}, {})
+
+
+def found(specs: Sequence[RunSpec], executor: Scripted, folder: Folder) -> list[RunResult]:
+    dataset = SimpleNamespace(fitting=SimpleNamespace(channels=Channels(("u",), ("y",), ("V",), ("m",))), notes=())
+    ended = outcomes.results([Task(spec, "nnss") for spec in specs], executor, dataset, folder, {})  # type: ignore[arg-type]
+    listed = list(ended)
+    assert folder.locked == 0, "a lock is left"
+    return listed
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "statuses"),
+    ("script", "status"),
     [
-        (["ok"], ["ok"]), (["crashed", "ok"], ["ok"]), (["crashed", "crashed"], ["crashed"]),
-        (["crashed final"], ["crashed"]), (["timeout"], ["timeout"]), (["memory"], ["memory"]),
-        (["crashed", "timeout"], ["timeout"]), ([None, None, "ok"], ["ok"]),
+        (["ok"], "ok"), (["crashed…", "ok"], "ok"), (["crashed…", "crashed…"], "crashed"), (["crashed"], "crashed"),
+        (["timeout"], "timeout"), (["memory"], "memory"), (["crashed…", "timeout"], "timeout"),
     ],
 )  # fmt: skip
-def test_a_run_whose_process_ended_is_tried_twice_and_one_beyond_a_limit_once(
-    outcomes: list[str | None], statuses: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_whose_process_ended_is_tried_twice_and_one_beyond_a_limit_once(script: list[str], status: str) -> None:
+    executor, folder = Scripted(script), Folder()
+    (one,) = found([SPEC], executor, folder)
+    assert (one.status, one.reason) == (status, "" if status == "ok" else "why")
+    assert executor.submitted == len(script)
+    assert folder.written == ([] if status == "ok" else [one]), "a loss is kept, a result has been"
+
+
+def test_a_run_that_another_command_is_at_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(0.0, 1.0)
-    monkeypatch.setattr(sweep.time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(
-        sweep, "settle", lambda task, loss, *_: RunResult(task.spec, loss.status, "why", (), 0, 1.0, {}, {}, {})
-    )
-    executor = Scripted(outcomes)
-    tasks = [Task(SPEC, None, "nnss")]  # type: ignore[arg-type]
-    found = list(sweep._results(tasks, executor, None, None))  # type: ignore[arg-type]
-    assert [result.status for result in found] == statuses
-    assert executor.submitted == len(outcomes)
+    monkeypatch.setattr(outcomes.time, "monotonic", lambda: next(clock))
+    executor = Scripted(["ok"])
+    assert [one.status for one in found([SPEC], executor, Folder(held=2))] == ["ok"]
+    assert executor.submitted == 1
+    executor, kept = Scripted([]), replace(result(SPEC, "ok"), provenance={"nnss": __version__})
+    assert found([SPEC], executor, Folder(held=2, meanwhile=kept)) == [kept]
+    assert executor.submitted == 0, "the other command has kept it"
 
 
-def test_a_crash_of_one_run_leaves_the_tries_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        sweep, "settle", lambda task, loss, *_: RunResult(task.spec, loss.status, "why", (), 0, 1.0, {}, {}, {})
-    )
-    tasks = [Task(replace(SPEC, seed=seed), None, "nnss") for seed in (0, 1)]  # type: ignore[arg-type]
-    executor = Scripted(["crashed", "ok", "crashed", "ok"])
-    found = list(sweep._results(tasks, executor, None, None))  # type: ignore[arg-type]
-    assert [(result.spec.seed, result.status) for result in found] == [(0, "ok"), (1, "ok")]
+def test_a_crash_of_one_run_leaves_the_tries_of_the_others() -> None:
+    executor = Scripted(["crashed…", "ok", "crashed…", "ok"])
+    ended = found([replace(SPEC, seed=seed) for seed in (0, 1)], executor, Folder())
+    assert [(one.spec.seed, one.status) for one in ended] == [(0, "ok"), (1, "ok")]
 
 
 def test_a_million_runs_are_a_call_and_one_more_is_not() -> None:

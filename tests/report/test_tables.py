@@ -81,38 +81,50 @@ RUNS = [
 
 def test_the_terminals_table_cell_by_cell() -> None:
     assert tables.terminal_rows(RUNS) == [
-        {"order": "2", "method": "nnss", "runs": "2/3", "train": "3", "val": "2", "test": "6", "q1–q3": "5–∞",
-         "best": "6"},
-        {"order": "2", "method": "n4sid", "runs": "1/1", "train": "5", "val": "5", "test": "5", "q1–q3": "–",
-         "best": "5"},
-        {"order": "3", "method": "nnss", "runs": "1/1", "train": "0.5", "val": "0.6", "test": "0.7", "q1–q3": "–",
-         "best": "0.7"},
+        {"order": "2", "method": "nnss", "runs": "2/3", "train": "3", "val": "2", "test": "6", "fit": "40.0",
+         "q1–q3": "5–∞", "best": "6"},
+        {"order": "2", "method": "n4sid", "runs": "1/1", "train": "5", "val": "5", "test": "5", "fit": "50.0",
+         "q1–q3": "–", "best": "5"},
+        {"order": "3", "method": "nnss", "runs": "1/1", "train": "0.5", "val": "0.6", "test": "0.7", "fit": "93.0",
+         "q1–q3": "–", "best": "0.7"},
     ]  # fmt: skip
     assert tables.terminal_title(RUNS) == (
-        "tank, protocol strict: RMSE, median over seeds; q1–q3 and best (the seed chosen on validation): test"
+        "tank, protocol strict: RMSE of level [m], test; median over seeds, q1–q3, best (the seed chosen on validation)"
     )
     several = [run(channels=TWO, train=[0.1, 0.3], val=[0.2, 0.4], test_a=[0.5, 0.7], test_b=[0.1, 0.1])]
-    assert tables.terminal_rows(several) == [
-        {"order": "2", "method": "nnss", "runs": "1/1", "train": "0.2", "val": "0.3", "test_a": "0.6", "test_b": "0.1",
-         "q1–q3": "–", "best": "0.6"}
+    mean = {"order": "2", "method": "nnss", "runs": "1/1", "train": "0.2", "val": "0.3", "q1–q3": "–"}
+    first = mean | {"test": "0.6", "fit": "40.0", "best": "0.6"}
+    assert tables.terminal_rows(several) == tables.terminal_rows(several, split="test_a") == [first]
+    assert tables.terminal_rows(several, split="test_b") == [mean | {"test": "0.1", "fit": "90.0", "best": "0.1"}]
+    flow = mean | {"train": "6", "val": "8", "test": "14", "fit": "30.0", "best": "14"}
+    assert tables.terminal_rows(several, output="y2") == [flow]
+    assert tables.terminal_title(several, "test_b").startswith(
+        "tank, protocol strict: mean over outputs of RMSE/σ, test_b; "
+    )
+    shown = [(table.about["split"], table.about["output"], table.rows[0]["test"]) for table in error_tables(several)]
+    assert shown == [
+        ("test_a", "mean of RMSE/σ", "0.6"), ("test_a", "level [m]", "5"), ("test_a", "flow", "14"),
+        ("test_b", "mean of RMSE/σ", "0.1"), ("test_b", "level [m]", "1"), ("test_b", "flow", "2"),
     ]  # fmt: skip
     assert tables.terminal_rows([run()])[0] == {
-        "order": "2", "method": "nnss", "runs": "0/1", "train": "–", "val": "–", "test": "–", "q1–q3": "–", "best": "–",
+        "order": "2", "method": "nnss", "runs": "0/1", "train": "–", "val": "–", "test": "–", "fit": "–", "q1–q3": "–",
+        "best": "–",
     }  # fmt: skip
     without_test = [run(train=0.1, val=0.2)]
-    assert tables.terminal_rows(without_test)[0]["best"] == "2"
-    assert tables.terminal_title(without_test).endswith("validation")
+    (row,) = tables.terminal_rows(without_test)
+    assert (row["test"], row["fit"], row["best"]) == ("–", "80.0", "2")
+    assert ": RMSE of level [m], validation; " in tables.terminal_title(without_test)
 
 
 def test_the_summary_over_seeds_cell_by_cell() -> None:
     rows = tables.rows_of_split(summary(RUNS), "test", methods_of(RUNS))
     assert rows[0] == {
         "order": "2", "method": "nnss", "output": "y1", "runs": "2/3", "mean": "–", "median": "6",
-        "best by validation": "6 (seed 1)", "spread (q1–q3)": "5–∞", "min–max": "4–∞",
+        "fit [%]": "40.0", "best by validation": "6 (seed 1)", "spread (q1–q3)": "5–∞", "min–max": "4–∞",
     }  # fmt: skip
     assert rows[1] == {
         "order": "2", "method": "n4sid", "output": "y1", "runs": "1/1", "mean": "5", "median": "5",
-        "best by validation": "5", "spread (q1–q3)": "–", "min–max": "–",
+        "fit [%]": "50.0", "best by validation": "5", "spread (q1–q3)": "–", "min–max": "–",
     }  # fmt: skip
     assert [row["order"] for row in rows] == ["2", "2", "3"]
     assert tables.rows_of_split(summary([run()]), "test", ["nnss"]) == []
@@ -121,6 +133,9 @@ def test_the_summary_over_seeds_cell_by_cell() -> None:
     assert (cells["y1"]["median"], cells["y2"]["median"]) == ("2", "6")
     assert (cells["mean"]["median"], cells["mean of RMSE/σ"]["median"]) == ("4", "0.25")
     assert (cells["y1"]["mean"], cells["y1"]["min–max"]) == ("2", "1–3")
+    assert {name: row["fit [%]"] for name, row in cells.items()} == {
+        "y1": "80.0", "y2": "70.0", "mean": "75.0", "mean of RMSE/σ": "75.0",
+    }  # fmt: skip
 
 
 def test_errors_of_a_run_in_each_of_the_ways_that_choices_are_made_by() -> None:
@@ -270,23 +285,28 @@ def test_a_long_records_zoom_is_a_twelfth_of_it_and_sixty_samples_at_least() -> 
 @pytest.mark.parametrize(
     ("runs", "title", "panels"),
     [
-        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation RMSE over 1 seed",
-         ["validation RMSE,\nlevel [m]"]),
-        ([run(seed=s, val=0.2, test=0.3) for s in range(2)], "tank (protocol strict): test RMSE over 2 seeds",
-         ["test RMSE,\nlevel [m]"]),
+        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation RMSE of level over 1\nseed",
+         [("", "RMSE [m]")]),
+        ([run(seed=s, val=0.2, test=0.3) for s in range(2)], "tank (protocol strict): test RMSE of level over 2 seeds",
+         [("", "RMSE [m]")]),
         ([run(val=0.2, test=0.3), run(seed=1)],
-         "tank (protocol strict): test RMSE over 2 seeds\nnot drawn, without a result: 1 of 2 NN-SS, n = 2",
-         ["test RMSE,\nlevel [m]"]),
+         "tank (protocol strict): test RMSE of level over 2 seeds\nnot drawn, without a result: 1 of 2 NN-SS, n = 2",
+         [("", "RMSE [m]")]),
         ([run(channels=TWO, val=[0.1, 0.1], a=[0.2, 0.3], b=[0.4, 0.5])],
          "tank (protocol strict): test RMSE over 1 seed",
-         ["test a RMSE,\nlevel [m]", "test a RMSE,\nflow", "test b RMSE,\nlevel [m]", "test b RMSE,\nflow"]),
+         [("test a, level", "RMSE [m]"), ("test a, flow", "RMSE"), ("test b, level", "RMSE [m]"),
+          ("test b, flow", "RMSE")]),
+        ([run(channels=TWO, val=[0.1, 0.1], test=[0.2, 0.3])], "tank (protocol strict): test RMSE over 1 seed",
+         [("level", "RMSE [m]"), ("flow", "RMSE")]),
     ],
 )  # fmt: skip
-def test_a_box_plot_says_whose_errors_it_shows(runs: list[RunResult], title: str, panels: list[str]) -> None:
+def test_a_box_plot_says_whose_errors_it_shows(
+    runs: list[RunResult], title: str, panels: list[tuple[str, str]]
+) -> None:
     figure = _boxplot(runs)
     assert figure is not None
     assert figure.get_suptitle() == title
-    assert [axis.get_ylabel() for axis in figure.axes] == panels
+    assert [(axis.get_title(), axis.get_ylabel()) for axis in figure.axes] == panels
     close_figure(figure)
     assert _boxplot([run()]) is None
 
@@ -334,23 +354,32 @@ def test_errors_of_a_simulated_file_have_their_outputs_name() -> None:
 def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below() -> None:
     channels = Channels(("a", "b"), ("x", "y"), ("V", "–"), ("m", "K"))
     time, u, y = np.arange(4) / 2, np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2) + 10
-    figure = draw_simulated(time, u, y, y + 1, channels, "the model", "predicted", (y - 2, y + 2, "90 %"))
-    assert [axis.get_ylabel() for axis in figure.axes] == ["x [m]", "y [K]", "a [V]", "b"]
-    assert [axis.get_xlabel() for axis in figure.axes] == ["", "", "", "time [s]"]
+    true = y + np.arange(1.0, 5.0)[:, None]
+    figure = draw_simulated(time, u, y, true, channels, "the model", "predicted", (y - 2, y + 2, "90 %"))
+    assert [axis.get_ylabel() for axis in figure.axes] == [
+        "x [m]", "residual\n[m]", "y [K]", "residual\n[K]", "a [V]", "b",
+    ]  # fmt: skip
+    assert [axis.get_xlabel() for axis in figure.axes] == [""] * 5 + ["time [s]"]
     for i in range(2):
-        measured, drawn = figure.axes[i].lines
-        assert measured.get_ydata().tolist() == (y[:, i] + 1).tolist()
+        output, residual = figure.axes[2 * i : 2 * i + 2]
+        measured, drawn = output.lines
+        assert measured.get_ydata().tolist() == true[:, i].tolist()
         assert drawn.get_ydata().tolist() == y[:, i].tolist()
-        (band,) = figure.axes[i].collections
+        (band,) = output.collections
         box = band.get_paths()[0].get_extents()
         assert (box.y0, box.y1) == (y[0, i] - 2, y[-1, i] + 2)
-        (held,) = figure.axes[2 + i].lines
+        error, zero = residual.lines
+        assert error.get_xdata().tolist() == time.tolist()
+        assert error.get_ydata().tolist() == (true - y)[:, i].tolist() == [1.0, 2.0, 3.0, 4.0]
+        assert list(zero.get_ydata()) == [0, 0]
+        (held,) = figure.axes[4 + i].lines
         assert held.get_ydata().tolist() == u[:, i].tolist()
         assert held.get_drawstyle() == "steps-post"
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["measured", "predicted", "90 %"]
     close_figure(figure)
     alone = draw_simulated(time, u, y, None, channels, "the model")
     assert [text.get_text() for text in alone.legends[0].get_texts()] == ["simulated"]
+    assert [axis.get_ylabel() for axis in alone.axes] == ["x [m]", "y [K]", "a [V]", "b"]
     assert len(alone.axes[0].lines) == 1
     close_figure(alone)
 
