@@ -122,6 +122,7 @@ class Scripted:
 
     def __init__(self, outcomes: Sequence[str]) -> None:
         self.outcomes, self.running, self.submitted = iter(outcomes), [], 0
+        self.folder: Folder | None = None
 
     @property
     def free(self) -> int:
@@ -129,6 +130,8 @@ class Scripted:
 
     def submit(self, task: Task) -> Future[RunResult]:
         assert self.free
+        assert self.folder is not None
+        assert self.folder.locked == 1, "the run is not this command's"
         self.submitted += 1
         self.running.append((task, Future()))
         return self.running[-1][1]
@@ -179,6 +182,7 @@ def result(spec: RunSpec, status: Any) -> RunResult:
 
 
 def found(specs: Sequence[RunSpec], executor: Scripted, folder: Folder) -> list[RunResult]:
+    executor.folder = folder
     dataset = SimpleNamespace(fitting=SimpleNamespace(channels=Channels(("u",), ("y",), ("V",), ("m",))), notes=())
     ended = outcomes.results([Task(spec, "nnss") for spec in specs], executor, dataset, folder, {})  # type: ignore[arg-type]
     listed = list(ended)
