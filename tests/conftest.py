@@ -90,6 +90,12 @@ def nnss(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.fixture
+def weak_adversary(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two ascents for the worst input of a certificate's stress runs: for tests that are not about how bad it is."""
+    monkeypatch.setattr("nnss_cli.experiment.certificate.systems.ASCENTS", 2)
+
+
+@pytest.fixture
 def system() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """`linear_system`."""
     return linear_system

@@ -127,7 +127,9 @@ def test_help_loads_nothing_heavy(args: tuple[str, ...]) -> None:
 def test_report_loads_no_torch(tmp_path: Path, nnss: Callable) -> None:
     """With runs of every kind of model to report on."""
     out = str(tmp_path / "results")
-    quick = ("--epochs", "1", "--window", "40", "--stride", "100", "--hidden", "5", "--encoder", "3")
+    quick = (
+        "--epochs", "1", "--window", "40", "--stride", "100", "--hidden", "5", "--encoder", "3", "--recipe", "paper",
+    )  # fmt: skip
     done = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "1", "--jobs", "1", "--out", out, *quick)
     assert done.code == 0, done.err
     loaded = loaded_by("report", "--out", out)

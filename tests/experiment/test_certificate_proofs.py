@@ -386,6 +386,7 @@ def test_without_a_region_what_follows_by_construction_stays_and_the_rest_is_unk
     assert schur.gain.how == "not searched"
 
 
+@pytest.mark.usefixtures("weak_adversary")
 def test_states_found_from_a_window_are_covered_and_said_to_be() -> None:
     model = bent(gamma=0.95, low=0.85)
     with torch.no_grad():

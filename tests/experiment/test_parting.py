@@ -1,6 +1,7 @@
 """Quadratic stability does not bring trajectories together: a model of which both are shown."""
 
 import numpy as np
+import pytest
 import torch
 from nnss_cli.datasets.record import Record
 from parting import parting_model, parting_pair
@@ -22,6 +23,7 @@ def test_trajectories_of_a_quadratically_stable_model_part() -> None:
     assert distance[-1] > 0.7
 
 
+@pytest.mark.usefixtures("weak_adversary")
 def test_its_certificate_promises_a_ball_and_nothing_more() -> None:
     record = Record(np.random.default_rng(0).uniform(-1, 1, (50, 1)), np.zeros((50, 1)), 1.0)
     found = certify(parting_model(), {"train": (record,)}, steps=500)

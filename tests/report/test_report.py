@@ -234,7 +234,7 @@ def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> Non
     out = tmp_path / "results"
     outcome = nnss(
         "compare", "twotank-sim", "--orders", "2", "--seeds", "2", "--epochs", "1", "--jobs", "1", "--out", out,
-        "--window", "40", "--stride", "100", "--hidden", "5",
+        "--window", "40", "--stride", "100", "--hidden", "5", "--recipe", "paper",
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     folder = Store(out, "twotank-sim", "paper").folder

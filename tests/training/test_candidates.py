@@ -235,14 +235,14 @@ def test_more_weights_than_measured_outputs_are_told(small_data: Callable) -> No
 
 def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = small_data(K=150).fitting
-    recipe = RECIPE.replace(initial="auto", feedthrough="no", epochs=2, hidden=(40,))
+    recipe = RECIPE.replace(initial="auto", feedthrough="no", epochs=2, hidden=(12,))
     for cold, taken in ((0.79, True), (0.81, False)):
         monkeypatch.setattr(
             module, "free_run_rmse", lambda engine, *_, cold=cold: cold if len(engine.weights()) > 10 else 1.0
         )
-        monkeypatch.setattr(recipe_module, "_COLD", recipe_module._COLD | {"hidden": (9,) * 4, "epochs": 2})
+        monkeypatch.setattr(recipe_module, "_COLD", recipe_module._COLD | {"hidden": (4,) * 4, "epochs": 2})
         training = train_nnss(data, 2, 0, recipe)
-        assert training.model.architecture.hidden == ((9,) * 4 if taken else (40,))
+        assert training.model.architecture.hidden == ((4,) * 4 if taken else (12,))
         assert training.candidates == {"as it is": 1.0, "cold start": cold}
         assert ("cold start taken: it lowers the validation error by more than 20%" in training.remarks) == taken
         by_blocks = train_nnss(data, 2, 0, recipe.replace(judge="blocks"))

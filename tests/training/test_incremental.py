@@ -168,12 +168,13 @@ def test_the_best_recipe_takes_it_and_keeps_the_gain() -> None:
     assert not set(training.candidates) & {"cold start", "integrator"}
 
 
+@pytest.mark.usefixtures("weak_adversary")
 def test_commands(nnss: Callable, tmp_path: Path) -> None:
     quick = ("twotank-sim", "--order", "2", "--stability", "incremental", "--epochs", "2")
     done = nnss("train", *quick, "--gain", "30", "--gamma", "0.999")
     assert done.code == 0, done.err
     run = "results/twotank-sim/paper/runs/nnss-n2-s0"
-    certified = nnss("certify", run, "--steps", "1000")
+    certified = nnss("certify", run, "--steps", "1000", "--budget", "2")
     assert certified.code == 0, certified.out
     assert "‖x1(k) − x2(k)‖ ≤ 0.999ᵏ" in certified.out
     assert "No promised bound is broken." in certified.out
