@@ -11,6 +11,9 @@ from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Found, Store
 from nnss_cli.version import __version__
 
+SAME_NUMBERS = ("threads",)
+"""Options that change no number, to the last bit."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -116,12 +119,13 @@ def _differing(other: RunSpec, spec: RunSpec) -> str:
     return ", ".join(
         f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
         for name in spec.settings | other.settings
-        if _value(other.settings, name) != _value(spec.settings, name)
+        if name not in SAME_NUMBERS and _value(other.settings, name) != _value(spec.settings, name)
     )
 
 
 def _text(settings: dict[str, Any]) -> str:
-    return json.dumps(settings, sort_keys=True)  # tuples and lists are one there
+    told = {name: value for name, value in settings.items() if name not in SAME_NUMBERS}
+    return json.dumps(told, sort_keys=True)  # tuples and lists are one there
 
 
 def _value(settings: dict[str, Any], name: str) -> Any:

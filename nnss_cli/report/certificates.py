@@ -20,7 +20,8 @@ def statement_rows(found: Certificate) -> list[dict[str, str]]:
         {"": each.name, "status": each.status, "claim": each.claim, "for": each.holds_for or "–", "how": each.how}
         for each in found.statements
     ]
-    gains = (("ℓ2 gain u → y", found.gain), ("gain of differences", found.incremental_gain))
+    to = "y" if found.covers == "the model" else "what is integrated"
+    gains = ((f"ℓ2 gain u → {to}", found.gain), ("gain of differences", found.incremental_gain))
     return rows + [
         {"": name, "status": gain.status, "claim": _claim(gain), "for": gain.holds_for or "–", "how": gain.how}
         for name, gain in gains

@@ -15,9 +15,10 @@ from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment import ablation
 from nnss_cli.experiment import order as order_selection
+from nnss_cli.experiment.agreement import difference, unlike
 from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.order import OrderRow, order_table, suggest_order
-from nnss_cli.experiment.run import score_outputs
+from nnss_cli.experiment.run import RunResult, RunSpec, score_outputs
 from nnss_cli.experiment.schema import parse_result
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import Plan, check_order, plan, sweep
@@ -399,3 +400,14 @@ def test_only_runs_with_a_model_are_unbounded_under_stress(
     assert [row["unbounded under stress"] for row in rows] == ["0 of 1"] * 3
     grown = [replace(v, unbounded=v.results[:1]) for v in variants]
     assert [row["unbounded under stress"] for row in study_rows(grown)] == ["1 of 1"] * 3
+
+
+def test_threads_are_no_other_options(tmp_path: Path) -> None:
+    """They change no number, so a study goes on with what was made by others."""
+    made = replace(RunSpec("tank", "strict", "nnss", 2, 0, {"threads": 1, "epochs": 5}, "0", "1"))
+    result = RunResult(made, "ok", "", (), 1, 1.0, {"nnss": __version__}, {}, {})
+    with_two = replace(made, settings=made.settings | {"threads": 2})
+    assert (difference(with_two, result), unlike(with_two, [result])) == ("", "")
+    other = replace(with_two, settings=with_two.settings | {"epochs": 6})
+    assert difference(other, result) == "epochs 5 instead of 6"
+    assert "epochs 5 instead of 6" in unlike(other, [result])
