@@ -39,6 +39,7 @@ from nnss_cli.report.style import (
 )
 
 FLAT = 0.02  # of the panel's height: boxes below it would be all outline
+ENVELOPE = "envelope: least and largest values"
 PANEL = 2.3  # inches that a panel of the box plot needs, at least
 
 
@@ -209,9 +210,11 @@ def draw_simulation(
             if inputs:
                 _draw_inputs(panels[-1, column], t, [(axis, u[part]) for axis, u in inputs])
             if bands:
-                panels[0, column].set_title("envelope: least and largest values", fontsize="small", loc="left")
+                panels[0, column].set_title(ENVELOPE, fontsize="small", loc="left")
             elif column:
                 panels[0, column].set_title("a part of it", fontsize="small", loc="left")
+            if not bands and any(is_dense(u[part]) for _, u in inputs):
+                panels[-1, column].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:
             _mark_breaks(panel, time, breaks)
             if zoom is not None:  # where the second column stands in the first
@@ -221,6 +224,8 @@ def draw_simulation(
             panel.yaxis.set_major_locator(MaxNLocator(4)) if not panel.get_label() else None
         for panel in panels[-1]:
             panel.set_xlabel(f"time [{time_unit}]")
+        if zoom is not None:  # a short part of a long record has long numbers
+            panels[-1, 1].xaxis.set_major_locator(MaxNLocator(4))
         figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
         _legend(figure, panels[0, 0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
         figure.suptitle(_wrapped(title, width), fontsize="large")

@@ -68,9 +68,10 @@ def draw_simulated(
             draw_line(panel, time, y[:, i], dense, color=look.colour, linewidth=1.1, label=what)
             if band is not None:
                 low, high, name = band
-                panel.fill_between(
-                    time, low[:, i], high[:, i], color=look.colour, alpha=0.2, linewidth=0, label=name, zorder=1
-                )
+                around = {"color": look.colour, "alpha": 0.2, "linewidth": 0, "zorder": 1}
+                panel.fill_between(time, low[:, i], high[:, i], label=name, **around)
+                if measured is not None:  # a narrow one is seen only there
+                    residual.fill_between(time, low[:, i] - y[:, i], high[:, i] - y[:, i], **around)
             panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
         for i in range(r):
             panel = panels[rows * m + i, 0]

@@ -118,6 +118,21 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     figures.close_figure(figure)
 
 
+def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_few_instants() -> None:
+    t = np.arange(20_000.0) / 50_000 + 1.3675
+    y, u = np.linspace(0, 1, len(t))[:, None], np.sin(np.arange(len(t)) / 2)
+    part = slice(9000, 9160)
+    figure = figures.draw_simulation(
+        t, y, {"nnss": ("", y)}, [Axis("y", "–")], "s", "x", part, (), [(Axis("u", "–"), u)], residuals=True
+    )
+    panels = np.array(figure.axes).reshape(3, 2)
+    titles = [[panel.get_title(loc="left") for panel in row] for row in panels]
+    assert titles == [["", "a part of it"], ["", ""], ["envelope: least and largest values", ""]]
+    low, high = panels[2, 1].get_xlim()
+    assert 2 <= sum(low <= tick <= high for tick in panels[2, 1].get_xticks()) <= 5
+    figures.close_figure(figure)
+
+
 def test_seeds_are_told_of_methods_that_have_some(result: Callable) -> None:
     def title(*methods: str) -> str:
         figure = _boxplot([result(name, seed) for name in methods for seed in range(3 if name == "nnss" else 1)])

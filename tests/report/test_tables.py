@@ -372,6 +372,9 @@ def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below(
         assert error.get_xdata().tolist() == time.tolist()
         assert error.get_ydata().tolist() == (true - y)[:, i].tolist() == [1.0, 2.0, 3.0, 4.0]
         assert list(zero.get_ydata()) == [0, 0]
+        (around,) = residual.collections
+        box = around.get_paths()[0].get_extents()
+        assert (box.y0, box.y1) == (-2, 2)
         (held,) = figure.axes[4 + i].lines
         assert held.get_ydata().tolist() == u[:, i].tolist()
         assert held.get_drawstyle() == "steps-post"
