@@ -15,6 +15,11 @@ SAME_NUMBERS = ("threads",)
 """Options that change no number, to the last bit."""
 
 
+def telling(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings that tell runs apart."""
+    return {name: value for name, value in settings.items() if name not in SAME_NUMBERS}
+
+
 @dataclass(frozen=True)
 class Table:
     """The runs of a folder that go together."""
@@ -118,14 +123,13 @@ def _lines(store: Store, others: Sequence[RunResult], why: str) -> list[str]:
 def _differing(other: RunSpec, spec: RunSpec) -> str:
     return ", ".join(
         f"{name} {_value(other.settings, name)} instead of {_value(spec.settings, name)}"
-        for name in spec.settings | other.settings
-        if name not in SAME_NUMBERS and _value(other.settings, name) != _value(spec.settings, name)
+        for name in telling(spec.settings | other.settings)
+        if _value(other.settings, name) != _value(spec.settings, name)
     )
 
 
 def _text(settings: dict[str, Any]) -> str:
-    told = {name: value for name, value in settings.items() if name not in SAME_NUMBERS}
-    return json.dumps(told, sort_keys=True)  # tuples and lists are one there
+    return json.dumps(telling(settings), sort_keys=True)  # tuples and lists are one there
 
 
 def _value(settings: dict[str, Any], name: str) -> Any:

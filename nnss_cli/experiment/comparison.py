@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.agreement import telling
 from nnss_cli.experiment.collection import Entry, entries
 from nnss_cli.experiment.provenance import MADE_WITH
 from nnss_cli.experiment.run import RunResult
@@ -96,7 +97,7 @@ def _facts(one: RunResult, other: RunResult) -> Iterator[tuple[str, str, str]]:
     yield "status", one.status, other.status
     yield "data", one.spec.data, other.spec.data
     yield "method's version", one.spec.version, other.spec.version
-    for name in dict.fromkeys([*one.spec.settings, *other.spec.settings]):
+    for name in telling(one.spec.settings | other.spec.settings):
         yield name, _text(one.spec.settings.get(name)), _text(other.spec.settings.get(name))
     for name in MADE_WITH:
         yield name, one.provenance.get(name, "unknown"), other.provenance.get(name, "unknown")

@@ -16,6 +16,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment import ablation
 from nnss_cli.experiment import order as order_selection
 from nnss_cli.experiment.agreement import difference, unlike
+from nnss_cli.experiment.comparison import _facts
 from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.order import OrderRow, order_table, suggest_order
 from nnss_cli.experiment.run import RunResult, RunSpec, score_outputs
@@ -408,6 +409,7 @@ def test_threads_are_no_other_options(tmp_path: Path) -> None:
     result = RunResult(made, "ok", "", (), 1, 1.0, {"nnss": __version__}, {}, {})
     with_two = replace(made, settings=made.settings | {"threads": 2})
     assert (difference(with_two, result), unlike(with_two, [result])) == ("", "")
+    assert all(a == b for _, a, b in _facts(result, replace(result, spec=with_two)))
     other = replace(with_two, settings=with_two.settings | {"epochs": 6})
     assert difference(other, result) == "epochs 5 instead of 6"
     assert "epochs 5 instead of 6" in unlike(other, [result])
