@@ -126,6 +126,31 @@ def contraction_inverse(A: FloatArray, gamma: float = 1.0, epsilon: float = EPSI
     return np.linalg.cholesky(S - added * np.eye(2 * n)).T
 
 
+def bounded_real_basis(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
+) -> FloatArray | None:
+    """T (n, n), symmetric, with TᵀT = P, the solution of the Riccati equation of a bounded real lemma.
+
+    P = AᵀPA − (AᵀPB + S)(R + BᵀPB)⁻¹(BᵀPA + Sᵀ) + Q; None where there is none, or none that is definite enough to
+    be a norm.
+
+    Args:
+        A: (n, n).
+        B: (n, q).
+        Q: (n, n).
+        R: (q, q), negative definite.
+        S: (n, q); 0 where it is None.
+    """
+    try:
+        P = scipy.linalg.solve_discrete_are(A, B, Q, R, s=S)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    values, vectors = np.linalg.eigh((P + P.T) / 2)
+    if not values[0] > 1e-9 * values[-1]:
+        return None
+    return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
+
+
 def contracting_basis(A: FloatArray, gamma: float = 1.0) -> FloatArray:
     """T (n, n) such that ‖T A T⁻¹‖₂ < γ: T = P^(−1/2) with γ²P − A P Aᵀ = I.
 

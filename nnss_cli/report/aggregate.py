@@ -87,6 +87,13 @@ def runs_by_method(results: Sequence[RunResult]) -> dict[tuple[str, int], list[R
     return dict(sorted(found.items(), key=lambda item: (item[0][1], item[0][0])))
 
 
+def groups(results: Sequence[RunResult]) -> list[tuple[str, int, list[RunResult]]]:
+    """Method, order and runs, failed ones too: by order, then as `methods_of` has the methods."""
+    position = methods_of(results)
+    found = [(method, order, own) for (method, order), own in runs_by_method(results).items()]
+    return sorted(found, key=lambda group: (group[1], position.index(group[0])))
+
+
 def split_error(result: RunResult, split: str) -> float:
     """Mean over outputs of RMSE/σ on a split: what runs are ranked by. ∞ for a run without a result there."""
     errors = [score.nrmse for score in result.scores if score.split == split]
@@ -108,6 +115,15 @@ def physical_error(result: RunResult, split: str) -> float:
     """Mean over outputs of the RMSE in physical units, as the released models are scored; ∞ without a result."""
     errors = [score.rmse for score in result.scores if score.split == split]
     return sum(errors) / len(errors) if errors else math.inf
+
+
+def output_error(result: RunResult, split: str, output: str) -> float:
+    """RMSE of an output (y1, y2, …), or a mean over outputs (`MEAN`, `NORMALISED`); ∞ for a run without a result."""
+    if output == MEAN:
+        return physical_error(result, split)
+    if output == NORMALISED:
+        return split_error(result, split)
+    return next((s.rmse for s in result.scores if (s.split, s.output) == (split, output)), math.inf)
 
 
 def shown_error(result: RunResult, split: str) -> float:

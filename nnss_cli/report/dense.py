@@ -49,11 +49,17 @@ def envelope(time: FloatArray, values: FloatArray, bins: int = BINS) -> Envelope
     return Envelope(time[edges], np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges))
 
 
-def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A line of at most about `PIXELS` points through the extremes of the whole, in their order in time."""
-    if len(values) <= PIXELS:
+def thinned(time: FloatArray, values: FloatArray, bins: int = PIXELS // 2) -> tuple[FloatArray, FloatArray]:
+    """A line that looks like all of it: each piece's least and largest value, in their order in time.
+
+    Args:
+        time: instants (K,).
+        values: (K,).
+        bins: pieces; a line of no more than twice as many samples is left as it is.
+    """
+    if len(values) <= 2 * bins:
         return time, values
-    edges = np.linspace(0, len(values), PIXELS // 2 + 1).astype(int)
+    edges = np.linspace(0, len(values), bins + 1).astype(int)
     kept = np.concatenate(
         [
             start + np.unique([np.argmin(values[start:stop]), np.argmax(values[start:stop])])

@@ -10,6 +10,7 @@ from nnss_cli.experiment.run import RunResult
 from nnss_cli.report.aggregate import (
     MEAN,
     methods_of,
+    output_error,
     paper_table,
     physical_error,
     published_table,
@@ -96,17 +97,10 @@ def place_tables(results: Sequence[RunResult]) -> tuple[Tables, list[str]]:
                 continue
             for method in methods_of(results):
                 if method in own:
-                    rows.append(_ours(method, [_error(run, split, output) for run in own[method]]))
+                    rows.append(_ours(method, [output_error(run, split, output) for run in own[method]]))
             what = "mean over outputs" if output == MEAN else names[output]
             tables.append((f"Order {order}, {what}, {split_name(split)}", _by_place(rows)))
     return tables, [f"[{note}] {source}: {PAPERS[source]}" for source, note in notes.items()]
-
-
-def _error(run: RunResult, split: str, output: str) -> float:
-    """RMSE of an output, or their mean; ∞ for a run without a result."""
-    if output == MEAN:
-        return physical_error(run, split)
-    return next((s.rmse for s in run.scores if (s.split, s.output) == (split, output)), math.inf)
 
 
 def _ours(name: str, errors: Sequence[float]) -> tuple[float, dict[str, str]]:

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-import scipy.linalg
 import torch
 
+from nnss_cli.baselines.schur import bounded_real_basis
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.incremental import PlainArrays
@@ -128,14 +128,9 @@ class Feedback:
         smallest, basis = 1 - 4 * epsilon, None
         spread = self.G.T @ self.G / 4
         for margin in np.geomspace(1e-5, 1, 26) * np.trace(spread) / m:
-            try:
-                P = scipy.linalg.solve_discrete_are(A, F, spread + margin * np.eye(n), -np.eye(m))
-            except (np.linalg.LinAlgError, ValueError):
+            T = bounded_real_basis(A, F, spread + margin * np.eye(n), -np.eye(m))
+            if T is None:
                 continue
-            values, vectors = np.linalg.eigh((P + P.T) / 2)
-            if not values[0] > 1e-9 * values[-1]:
-                continue
-            T = (vectors * np.sqrt(values)) @ vectors.T
             inverse = np.linalg.inv(T)
             norm = max(float(np.linalg.norm(T @ corner @ inverse, 2)) for corner in corners)
             if norm < smallest:

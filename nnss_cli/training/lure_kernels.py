@@ -11,13 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from nnss_cli.model.kernels import FAST, _exp
-
-OPTIONS: Any = {"nogil": True, "error_model": "numpy", "fastmath": FAST}
-part = njit(**OPTIONS)
-entry = njit(cache=True, **OPTIONS)
+from nnss_cli.model.kernels import _exp, entry, part
 
 
 @part

@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 import scipy.linalg
 
-from nnss_cli.baselines.schur import contracting_basis
+from nnss_cli.baselines.schur import bounded_real_basis, contracting_basis
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
@@ -133,14 +133,9 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, fl
             D = scipy.linalg.block_diag(plain.D / a.gain, D)
         Q, S, R = seen.T @ seen, seen.T @ D, D.T @ D - np.eye(r * (a.gain > 0) + p)
         for margin in MARGINS * np.trace(Q) / len(seen):
-            try:
-                P = scipy.linalg.solve_discrete_are(A, fed, Q + margin * np.eye(n), R, s=S)
-            except (np.linalg.LinAlgError, ValueError):
+            T = bounded_real_basis(A, fed, Q + margin * np.eye(n), R, S)
+            if T is None:
                 continue
-            values, vectors = np.linalg.eigh((P + P.T) / 2)
-            if not values[0] > 1e-9 * values[-1]:
-                continue
-            T = (vectors * np.sqrt(values)) @ vectors.T
             norm = float(np.linalg.norm(_matrix(transformed(plain, T), np.full(p, 2.0 / weight), a), 2))
             if norm < smallest:
                 smallest, found = norm, (T, float(weight))

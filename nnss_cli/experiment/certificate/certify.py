@@ -25,7 +25,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.certificate import statements as say
 from nnss_cli.experiment.certificate.box import over_box, spread
 from nnss_cli.experiment.certificate.lyapunov import common_lyapunov, only_lyapunov
-from nnss_cli.experiment.certificate.result import Certificate, Gain, Statement, Stress
+from nnss_cli.experiment.certificate.result import Certificate, Statement, Stress
 from nnss_cli.experiment.certificate.search import not_searched, search
 from nnss_cli.experiment.certificate.stress import STRESS_STEPS, stress_runs
 from nnss_cli.experiment.certificate.systems import Linear, Neural, radii
@@ -96,8 +96,8 @@ def certify(
         invariant = bounds[0] * input_bound / (1 - system.gamma)
         bound = max(largest_initial, invariant)
         limit = bound * (1 + system.rounding())
-        found = f" or found from their first {init_window} samples" if init_window > 1 else ""
-        holds_for = f"x(0) = g(y(0)) of the {len(everything)} records given{found}, inputs within their range"
+        window = f" or found from their first {init_window} samples" if init_window > 1 else ""
+        holds_for = f"x(0) = g(y(0)) of the {len(everything)} records given{window}, inputs within their range"
     largest = max(box_radius, *radius.values())
     broken = _broken(system, largest, box_norm)
     sampled = say.Sampled(largest, box_norm, rate, lyapunov)
@@ -124,9 +124,23 @@ def certify(
             Statement("state", "unknown", "the state stays bounded", None, "", "nothing follows by construction")
         )
     started = time.perf_counter()
-    gain, incremental_gain, said = _searched(
-        system, said, low, high, scaling, input_bound, largest, max(map(_number, state.values())), budget
-    )
+    if constant is not None:  # all is exact
+        gain = incremental_gain = say.gain_of_one_matrix(constant, scaling.u_std, scaling.y_std, system.integrates)
+        said = [*say.of_one_matrix(constant, input_bound)]
+    else:
+        assert isinstance(system, Neural)
+        largest_state = max(map(_number, state.values()))
+        if budget > 0 and math.isfinite(largest_state):
+            found = search(system, bounds, scaling, low, high, largest, largest_state, budget)
+        else:
+            why = (
+                "not searched" if math.isfinite(largest_state) else "the state left the range of numbers along a record"
+            )
+            found = not_searched(system, bounds, scaling, why)
+        gain, incremental_gain = found.gain, found.incremental_gain
+        proved = {each.name: each for each in (found.quadratic, found.state) if each is not None}
+        said = [own if own.status in ("proved", "refuted") else proved.get(own.name, own) for own in said]
+        said.append(found.incremental)
     if broken and system.promise.pairs:  # nothing is proved by a construction that does not hold
         why = "; ".join(broken)
         said = [replace(s, status="unknown", holds_for="", how=why) if s.name == "incremental" else s for s in said]
@@ -140,35 +154,6 @@ def certify(
         tuple(map(float, high)), lyapunov, rate, tuple(said), gain, incremental_gain, stress, seconds,
         time.perf_counter() - started, tuple(broken),
     )  # fmt: skip
-
-
-def _searched(
-    system: Neural | Linear,
-    said: list[Statement],
-    low: FloatArray,
-    high: FloatArray,
-    scaling: Any,
-    input_bound: float,
-    radius: float,
-    largest_state: float,
-    budget: float,
-) -> tuple[Gain, Gain, list[Statement]]:
-    """Gains, and the statements with what is exact or was proved in place of what was not."""
-    constant = system.constant()
-    if constant is not None:
-        gain = say.gain_of_one_matrix(constant, scaling.u_std, scaling.y_std, system.integrates)
-        exact = say.of_one_matrix(constant, input_bound)
-        return gain, gain, [*exact]
-    assert isinstance(system, Neural)
-    bounds = system.output_bounds()
-    if budget > 0 and math.isfinite(largest_state):
-        found = search(system, bounds, scaling, low, high, radius, largest_state, budget)
-    else:
-        why = "not searched" if math.isfinite(largest_state) else "the state left the range of numbers along a record"
-        found = not_searched(system, bounds, scaling, why)
-    proved = {each.name: each for each in (found.quadratic, found.state) if each is not None}
-    kept = [own if own.status in ("proved", "refuted") else proved.get(own.name, own) for own in said]
-    return found.gain, found.incremental_gain, [*kept, found.incremental]
 
 
 def _runs(system: Neural | Linear, record: Record, w: int) -> list[tuple[Record, FloatArray, FloatArray]]:

@@ -16,17 +16,14 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.modelfile import Tensors, read_model
-from nnss_cli.report.aggregate import methods_of, runs_by_method
+from nnss_cli.report.aggregate import groups
 from nnss_cli.report.tables import number, promise_of
 
 
 def certificate_table(store: Store, results: Sequence[RunResult]) -> list[dict[str, str]]:
     """A row for each method and order: the promise, and the largest that was seen over all of its runs."""
-    position = methods_of(results)
     rows = []
-    for (method, order), own in sorted(
-        runs_by_method(results).items(), key=lambda item: (item[0][1], position.index(item[0][0]))
-    ):
+    for method, order, own in groups(results):
         sound = [result for result in own if result.status == "ok"]
         if not sound:
             continue

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nnss_cli.experiment.run import RunResult
-from nnss_cli.report.aggregate import methods_of, runs_by_method
+from nnss_cli.report.aggregate import groups, methods_of, runs_by_method
 from nnss_cli.report.statistics import quantile
 from nnss_cli.report.tables import number
 
@@ -78,11 +78,8 @@ def _facts(results: Sequence[RunResult]) -> list[dict[str, str]]:
 
 
 def _costs(results: Sequence[RunResult]) -> list[dict[str, str]]:
-    position = methods_of(results)
     rows = []
-    for (method, order), own in sorted(
-        runs_by_method(results).items(), key=lambda item: (item[0][1], position.index(item[0][0]))
-    ):
+    for method, order, own in groups(results):
         seconds = [r.fit_seconds for r in own]
         memory = [float(text) for r in own if _is_number(text := r.provenance.get("peak memory [MB]", ""))]
         rows.append(

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nnss_cli.datasets.catalog import BENCHMARKS
-from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.agreement import Table
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
@@ -15,12 +14,11 @@ from nnss_cli.report.aggregate import (
     MEAN,
     NORMALISED,
     best_run,
+    groups,
     methods_of,
-    physical_error,
-    runs_by_method,
+    output_error,
     scored_splits,
     several_outputs,
-    split_error,
     split_name,
     splits_of,
 )
@@ -35,7 +33,7 @@ from nnss_cli.report.html.signals import simulation_traces, state_trace
 from nnss_cli.report.html.trace import Trace
 from nnss_cli.report.published import place_tables, published_tables
 from nnss_cli.report.statistics import median_interval, quantile
-from nnss_cli.report.tables import failures, number, remarks, versions_apart
+from nnss_cli.report.tables import failures, number, output_names, remarks, versions_apart
 
 LARGEST = 1e308
 """What ∞ sorts as: the script reads finite numbers."""
@@ -172,30 +170,17 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
 
 def outputs_of(results: Sequence[RunResult]) -> dict[str, str]:
     """Name of an output in the scores, or of a mean over them → what it is called."""
-    channels = next((r.channels for r in results if r.status == "ok"), results[0].channels)
-    pairs = zip(channels["outputs"], channels["output_units"], strict=True)
-    found = {f"y{i + 1}": titled(*pair) for i, pair in enumerate(pairs)}
+    found = output_names(next((r for r in results if r.status == "ok"), results[0]))
     return found | ({MEAN: "mean over outputs", NORMALISED: NORMALISED} if len(found) > 1 else {})
 
 
-def error_of(result: RunResult, split: str, output: str) -> float:
-    """The error of an output, or a mean over outputs; ∞ for a run without a result."""
-    if output == MEAN:
-        return physical_error(result, split)
-    if output == NORMALISED:
-        return split_error(result, split)
-    return next((s.rmse for s in result.scores if (s.split, s.output) == (split, output)), math.inf)
-
-
 def _rows(results: Sequence[RunResult], looks: dict[str, Look]) -> list[Row]:
-    position = methods_of(results)
-    groups = sorted(runs_by_method(results).items(), key=lambda item: (item[0][1], position.index(item[0][0])))
     rows = []
     for split in splits_of(results):
-        for (method, order), own in groups:
+        for method, order, own in groups(results):
             best = best_run(own)
             for output, name in outputs_of(results).items():
-                errors = [error_of(r, split, output) for r in own]
+                errors = [output_error(r, split, output) for r in own]
                 if best is None or not any(map(math.isfinite, errors)):
                     continue
                 rows.append(Row(looks[method], order, split, name, _cells(own, errors, best, split, output)))
@@ -207,7 +192,7 @@ def _cells(own: Sequence[RunResult], errors: list[float], best: RunResult, split
     ok = sum(map(math.isfinite, errors))
     median, q1, q3 = (quantile(errors, q) for q in (0.5, 0.25, 0.75))
     bounds = median_interval(errors)
-    chosen = error_of(best, split, output)
+    chosen = output_error(best, split, output)
     # a run without a result has no fit: it counts as the worst
     fits = [next((-s.fit_percent for s in r.scores if (s.split, s.output) == (split, output)), math.inf) for r in own]
     fit = -quantile(fits, 0.5)
@@ -240,7 +225,7 @@ def _boxes(results: Sequence[RunResult], looks: dict[str, Look], anchor: str) ->
                 for result in results:
                     if result.spec.method == method:
                         by_order = values.setdefault(looks[method], {})
-                        by_order.setdefault(result.spec.order, []).append(error_of(result, split, output))
+                        by_order.setdefault(result.spec.order, []).append(output_error(result, split, output))
             if any(math.isfinite(v) for by_order in values.values() for own in by_order.values() for v in own):
                 title = f"Error over seeds on {split_name(split)}, by order and method: {name}"
                 if any(math.isinf(v) for by_order in values.values() for own in by_order.values() for v in own):

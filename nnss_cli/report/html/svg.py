@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from markupsafe import Markup, escape
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.report.dense import thinned
 
 GRID = 1000
 """Whole steps across a picture that is stretched to its frame."""
@@ -91,22 +91,8 @@ def tag(name: str, *children: Any, **attributes: Any) -> Markup:
 
 
 def few(values: FloatArray, bins: int) -> tuple[FloatArray, FloatArray]:
-    """Samples and values of a line that looks like all of them: each bin's smallest and largest, in their order.
-
-    Args:
-        values: of samples 0 … K − 1 (K,).
-        bins: number of bins; a line of no more than twice as many samples is left as it is.
-    """
-    K = len(values)
-    if 2 * bins >= K:
-        return np.arange(K, dtype=float), values
-    edges = np.linspace(0, K, bins + 1).astype(int)
-    picked: list[int] = []
-    for start, end in itertools.pairwise(edges):
-        part = values[start:end]
-        picked += sorted({start + int(np.argmin(part)), start + int(np.argmax(part))})
-    at = np.array(sorted({0, *picked, K - 1}))
-    return at.astype(float), values[at]
+    """Samples and values of a line that looks like all of them; see `thinned`."""
+    return thinned(np.arange(len(values), dtype=float), values, bins)
 
 
 def path(x: FloatArray, y: FloatArray, place: Callable[[float, float], tuple[float, float]] | None = None) -> str:
