@@ -949,8 +949,8 @@ def _transpose_back(columns: Any, rows: Any, row: int) -> None:
 
 @part
 def _aligned(count: int, dtype: Any) -> Any:
-    """Numbers that begin at a whole cache line."""
-    space = np.empty(count + 16, dtype)
+    """Zeros that begin at a whole cache line."""
+    space = np.zeros(count + 16, dtype)
     skip = (-space.ctypes.data % 64) // space.itemsize
     return space[skip : skip + count]
 

@@ -220,7 +220,9 @@ class FastEngine:
                 [int(w) for w in weights.widths], a.order, a.outputs, L, b, self.gradient.itemsize
             )
             if needed > self.space.size:
-                self.space = np.empty(needed, self.gradient.dtype)
+                # zeros: what fills up a row to whole registers is computed with, and as leftover bytes it is often
+                # subnormal, which made an epoch take up to eight times as long
+                self.space = np.zeros(needed, self.gradient.dtype)
             loss = kernels.loss_and_gradient(
                 weights.vector, weights.widths, kernels.KINDS[a.stability],
                 *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
