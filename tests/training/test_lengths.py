@@ -193,9 +193,10 @@ def test_leftover_bytes_are_not_computed_with(monkeypatch: pytest.MonkeyPatch, d
             array[...] = tiny
         return array
 
-    monkeypatch.setattr(np, "empty", leftovers)
     a = replace(architecture("x"), dtype=dtype)
-    engine = FastEngine(make(a), *signals(a), Recipe(dtype=dtype))
+    compiled, engine = (FastEngine(make(a), *signals(a), Recipe(dtype=dtype)) for _ in range(2))
+    compiled.train_batch(np.arange(len(LENGTHS)), 1)  # the kernels, too, say np.empty: compiled before it is another
+    monkeypatch.setattr(np, "empty", leftovers)
     engine.train_batch(np.arange(len(LENGTHS)), 1)
     space = engine.space
     assert np.isfinite(space).all()
