@@ -13,9 +13,9 @@ from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.figures import draw_line
 from nnss_cli.report.style import MEASURED, STYLE, style_of
 from nnss_cli.report.tables import number, percent
+from nnss_cli.report.timeplots import draw_line
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:

@@ -18,11 +18,10 @@ from nnss_cli.report.figures import (
     draw_boxplot,
     draw_orders,
     draw_ranks,
-    draw_simulation,
-    draw_states,
     save_figure,
 )
 from nnss_cli.report.style import STYLES, Axis, style_of
+from nnss_cli.report.timeplots import draw_simulation, draw_states
 
 
 @pytest.fixture

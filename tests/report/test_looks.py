@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from nnss_cli.errors import InputError
 from nnss_cli.report import figures
-from nnss_cli.report.build import _boxplot, transient
+from nnss_cli.report.comparison import _boxplot, transient
 from nnss_cli.report.dense import BINS, PIXELS, envelope, is_dense, thinned
 from nnss_cli.report.style import MEASURED, MORE, STYLES, Axis, Look, legend_columns, log_ticks, styles_of
+from nnss_cli.report.timeplots import draw_simulation
 
 
 @given(st.floats(1e-9, 1e6), st.floats(1.001, 1e9))
@@ -87,7 +88,7 @@ def test_an_envelope_keeps_every_extreme() -> None:
 def test_a_simulation_shows_residuals_and_inputs_and_names_the_zooms_axis() -> None:
     t = np.arange(400.0)
     y, u = np.sin(t / 20)[:, None], np.cos(t / 20)
-    figure = figures.draw_simulation(
+    figure = draw_simulation(
         t, y, {"nnss": ("", y + 0.25)}, [Axis("level", "m")], "s", "x", slice(100, 150), (),
         [(Axis("pump", "V"), u)], True,
     )  # fmt: skip
@@ -106,7 +107,7 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     y = np.sin(t / 2)[:, None]
     part = transient(y)
     assert part.stop - part.start == 160
-    figure = figures.draw_simulation(t, y, {"nnss": ("", y + 0.5)}, [Axis("y", "–")], "s", "x", part, residuals=True)
+    figure = draw_simulation(t, y, {"nnss": ("", y + 0.5)}, [Axis("y", "–")], "s", "x", part, residuals=True)
     (whole, zoom), (residual, differences) = np.array(figure.axes).reshape(2, 2)
     np.testing.assert_allclose(residual.lines[0].get_ydata(), np.full(BINS // 3, 0.5))  # root mean squares
     assert residual.get_ylabel() == "residual, rms"
@@ -118,11 +119,42 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     figures.close_figure(figure)
 
 
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_in_one_column_the_zoom_stands_below_with_all_its_panels(outputs: int) -> None:
+    t = np.arange(400.0)
+    y = np.stack([np.sin(t / 20 + i) for i in range(outputs)], axis=1)
+    axes, part = [Axis(f"y{i}", "m") for i in range(outputs)], slice(100, 150)
+    figure = draw_simulation(
+        t, y, {"nnss": ("", y + 0.25)}, axes, "s", "x", part, (), [(Axis("pump", "V"), t)], True, Look((), 1)
+    )  # fmt: skip
+    rows = 2 * outputs + 1
+    whole, zoom = np.array(figure.axes).reshape(2, rows)
+    for i in range(outputs):
+        for panel, shown in ((whole[2 * i], t), (zoom[2 * i], t[part])):
+            np.testing.assert_array_equal(panel.lines[0].get_xdata(), shown)
+            assert panel.get_ylabel() == f"y{i} [m]"
+        np.testing.assert_allclose(zoom[2 * i + 1].lines[0].get_ydata(), np.full(50, -0.25))
+        (marked,) = whole[2 * i].patches  # where the part is
+        assert (marked.get_x(), marked.get_width()) == (100, 49)
+    assert [panel.get_xlabel() for panel in figure.axes] == ([""] * (rows - 1) + ["time [s]"]) * 2
+    assert (whole[0].get_title(loc="left"), zoom[0].get_title(loc="left")) == ("", "a part of it")
+    figure.canvas.draw()
+    lengths = [{tuple(panel.get_xlim()) for panel in block} for block in (whole, zoom)]
+    assert [len(block) for block in lengths] == [1, 1]
+    assert lengths[0] != lengths[1]
+    tops = [panel.get_position().y0 for panel in figure.axes]
+    assert tops == sorted(tops, reverse=True)
+    width, height = figure.get_size_inches()
+    assert width == 3.5
+    assert height <= 9.2  # of a page's text
+    figures.close_figure(figure)
+
+
 def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_few_instants() -> None:
     t = np.arange(20_000.0) / 50_000 + 1.3675
     y, u = np.linspace(0, 1, len(t))[:, None], np.sin(np.arange(len(t)) / 2)
     part = slice(9000, 9160)
-    figure = figures.draw_simulation(
+    figure = draw_simulation(
         t, y, {"nnss": ("", y)}, [Axis("y", "–")], "s", "x", part, (), [(Axis("u", "–"), u)], residuals=True
     )
     panels = np.array(figure.axes).reshape(3, 2)
