@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nnss_cli.experiment.inspection_result import Delay, Inspection
-from nnss_cli.report.style import STYLE, Axis
+from nnss_cli.report.style import STYLE, TICK_STEPS, Axis
 from nnss_cli.report.tables import number
 
 SHOWN = 6  # channels of each role, and inputs and outputs of the responses, that the figure has room for
@@ -189,7 +189,7 @@ def _draw_time(block: Any, found: Inspection, shown: Sequence[Any], looks: dict[
             panel.fill_between(curve.time, low, high, color=colour, linewidth=0.6)
         unit = channel.unit if not power else f"1e{power} {channel.unit}"
         panel.set_ylabel(_label(channel.name, unit), fontsize=7, rotation=0, ha="right", va="center")
-        panel.yaxis.set_major_locator(MaxNLocator(3))
+        panel.yaxis.set_major_locator(MaxNLocator(3, steps=TICK_STEPS))
         panel.tick_params(labelsize=8)
         panel.margins(x=0.01)
     starts = np.cumsum((0, *found.samples))[1:-1] * (found.clock.Ts or 1.0)

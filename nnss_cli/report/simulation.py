@@ -61,7 +61,7 @@ def draw_simulated(
                 draw_line(panel, time, measured[:, i], dense, label="measured", **MEASURED)
                 residual = panels[rows * i + 1, 0]
                 error = measured[:, i] - y[:, i]
-                draw_line(residual, time, error, dense, color=look.colour, linewidth=0.8)
+                draw_line(residual, time, error, dense, True, color=look.colour, linewidth=0.8)
                 residual.axhline(0, color="0.3", linewidth=0.6)
                 unit = channels.output_units[i]
                 residual.set_ylabel("residual" if unit in ("", "–") else f"residual\n[{unit}]")
@@ -75,7 +75,9 @@ def draw_simulated(
             panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
         for i in range(r):
             panel = panels[rows * m + i, 0]
-            draw_line(panel, time, u[:, i], is_dense(u[:, i]), color="0.35", linewidth=0.9, drawstyle="steps-post")
+            draw_line(
+                panel, time, u[:, i], is_dense(u[:, i]), True, color="0.35", linewidth=0.9, drawstyle="steps-post"
+            )
             panel.set_ylabel(textwrap.fill(titled(channels.inputs[i], channels.input_units[i]), 14))
         for panel in panels[:, 0]:
             panel.margins(x=0.01)

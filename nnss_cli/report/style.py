@@ -124,6 +124,10 @@ SCREEN = Look()
 """Figures for a screen, in the usual formats."""
 
 
+TICK_STEPS = [1, 2, 2.5, 5, 10]
+"""Steps between the numbers of a linear axis."""
+
+
 def legend_columns(entries: int, most: int) -> int:
     """Columns of a legend, at most so many, such that no row holds a single entry where that can be helped."""
     rows = math.ceil(entries / most)

@@ -18,8 +18,9 @@ from matplotlib.ticker import MaxNLocator
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.report.dense import envelope, is_dense, rms, thinned
 from nnss_cli.report.figures import add_legend, wrapped
-from nnss_cli.report.style import MEASURED, SCREEN, Axis, Look, style_of, styles_of
+from nnss_cli.report.style import MEASURED, SCREEN, TICK_STEPS, Axis, Look, style_of, styles_of
 
+ROOM = 1.5  # ranges of the measured output that a panel reaches beyond it
 PAGE = 9.2  # inches that a page's text is high
 ENVELOPE = "envelope: least and largest values"
 
@@ -73,6 +74,10 @@ def draw_simulation(
                         error = measured[part, i] - y[part, i]
                         style = style | {"linewidth": 0.9}
                         panels[row + 1].plot(*(rms(t, error) if dense else thinned(t, error)), **style)
+                _keep_in_view(
+                    panels[row], panels[row + 1] if residuals else None, t, measured[part, i],
+                    {looks[method].label: y[part, i] for method, (_, y) in simulated.items()}, dense,
+                )  # fmt: skip
                 panels[row].set_ylabel(textwrap.fill(str(outputs[i]), 24))
                 if residuals:
                     panels[row + 1].axhline(0, color="0.3", linewidth=0.6)
@@ -87,7 +92,7 @@ def draw_simulation(
                 panels[-1].set_title(ENVELOPE, fontsize="small", loc="left")
             for panel in panels:
                 panel.margins(x=0.01)
-                panel.yaxis.set_major_locator(MaxNLocator(4)) if not panel.get_label() else None
+                panel.yaxis.set_major_locator(MaxNLocator(4, steps=TICK_STEPS)) if not panel.get_label() else None
             panels[-1].set_xlabel(f"time [{time_unit}]")
             figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
         for panel in columns[0]:
@@ -95,10 +100,35 @@ def draw_simulation(
             if zoom is not None:  # where the part stands in the whole
                 panel.axvspan(time[zoom][0], time[zoom][-1], color="0.93", zorder=0)
         if zoom is not None:  # a short part of a long record has long numbers
-            columns[1][-1].xaxis.set_major_locator(MaxNLocator(4))
+            columns[1][-1].xaxis.set_major_locator(MaxNLocator(4, steps=TICK_STEPS))
         add_legend(figure, columns[0][0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
         figure.suptitle(wrapped(title, width), fontsize="large")
     return figure
+
+
+def _keep_in_view(
+    panel: Any, below: Any, time: FloatArray, measured: FloatArray, simulated: Mapping[str, FloatArray], dense: bool
+) -> None:
+    """Cut the axes of an output and its residuals where a simulation goes so far that the others could not be seen.
+
+    A panel reaches `ROOM` ranges of the measured output beyond it, at most, and names what leaves it.
+    """
+    low, high = float(measured.min()), float(measured.max())
+    room = ROOM * (high - low)
+    away = [name for name, y in simulated.items() if y.min() < low - room or y.max() > high + room]
+    if not away or room == 0:
+        return
+    inside = [np.clip(y, low - room, high + room) for y in simulated.values()]
+    panel.set_ylim(*_with_margin([measured, *inside]))
+    panel.set_title(f"leaving the panel: {', '.join(away)}", fontsize="small", loc="right")
+    if below is not None:
+        errors = [measured - y for y in inside]
+        below.set_ylim(*_with_margin([rms(time, error)[1] for error in errors] if dense else errors))
+
+
+def _with_margin(values: Sequence[FloatArray]) -> tuple[float, float]:
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
 
 
 def _beside(figure: Figure, heights: Sequence[float], parts: int) -> list[list[Any]]:
@@ -120,14 +150,15 @@ def _stacked(figure: Figure, heights: Sequence[float], parts: int) -> list[list[
     return blocks
 
 
-def draw_line(panel: Any, time: FloatArray, values: FloatArray, dense: bool, **style: Any) -> None:
-    """A signal as a line, or by its envelope: filled where it is the measured one, else its two edges."""
+def draw_line(panel: Any, time: FloatArray, values: FloatArray, dense: bool, alone: bool = False, **style: Any) -> None:
+    """A signal as a line, or by its envelope: filled where it is the measured one or stands alone, else its edges."""
     if not dense:
         panel.plot(*thinned(time, values), **style)
         return
     edges = envelope(time, values)
-    if style.get("label") == "measured":
-        panel.fill_between(edges.time, edges.low, edges.high, color="0.85", linewidth=0, label="measured", step="post")
+    if alone or style.get("label") == "measured":
+        look = {"color": style["color"], "linewidth": 0.6} if alone else {"color": "0.85", "linewidth": 0}
+        panel.fill_between(edges.time, edges.low, edges.high, label=style.get("label"), step="post", **look)
         return
     panel.plot(edges.time, edges.high, **style)
     panel.plot(edges.time, edges.low, **style | {"label": None})
@@ -139,7 +170,7 @@ def _draw_inputs(panel: Any, time: FloatArray, inputs: Sequence[tuple[Axis, Floa
         if len(inputs) > 1:
             span = float(np.ptp(u))
             u = row + 0.8 * ((u - u.min()) / span if span > 0 else np.full(len(u), 0.5))
-        draw_line(panel, time, u, is_dense(u), color="0.25", linewidth=0.9, drawstyle="steps-post")
+        draw_line(panel, time, u, is_dense(u), True, color="0.25", linewidth=0.9, drawstyle="steps-post")
     if len(inputs) == 1:
         panel.set_ylabel(textwrap.fill(str(inputs[0][0]), 14))
         return
@@ -187,16 +218,18 @@ def draw_states(
             layout="constrained",
         )  # fmt: skip
         for i in range(m):
-            draw_line(panels[i, 0], time, measured[:, i], is_dense(measured[:, i]), color="black", linewidth=0.9)
+            draw_line(panels[i, 0], time, measured[:, i], is_dense(measured[:, i]), True, color="black", linewidth=0.9)
             panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize="small")
         for i in range(n):
             dense = is_dense(states[:, i])
-            draw_line(panels[m + i, 0], time, states[:, i], dense, color=style_of("nnss").colour, linewidth=0.9)
+            draw_line(panels[m + i, 0], time, states[:, i], dense, True, color=style_of("nnss").colour, linewidth=0.9)
             panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
+        if any(is_dense(signal) for signal in (*measured.T, *states.T)):
+            panels[0, 0].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:
             _mark_breaks(panel, time, breaks)
             panel.margins(x=0.01)
-            panel.yaxis.set_major_locator(MaxNLocator(3))
+            panel.yaxis.set_major_locator(MaxNLocator(3, steps=TICK_STEPS))
         figure.align_ylabels()
         panels[-1, 0].set_xlabel(f"time [{time_unit}]")
         figure.suptitle(wrapped(title, look.width or 7.2), fontsize="large")

@@ -14,7 +14,7 @@ from nnss_cli.report import figures
 from nnss_cli.report.comparison import _boxplot, transient
 from nnss_cli.report.dense import BINS, PIXELS, envelope, is_dense, thinned
 from nnss_cli.report.style import MEASURED, MORE, STYLES, Axis, Look, legend_columns, log_ticks, styles_of
-from nnss_cli.report.timeplots import draw_simulation
+from nnss_cli.report.timeplots import draw_simulation, draw_states
 
 
 @given(st.floats(1e-9, 1e6), st.floats(1.001, 1e9))
@@ -147,6 +147,45 @@ def test_in_one_column_the_zoom_stands_below_with_all_its_panels(outputs: int) -
     width, height = figure.get_size_inches()
     assert width == 3.5
     assert height <= 9.2  # of a page's text
+    figures.close_figure(figure)
+
+
+def test_a_simulation_that_goes_far_away_does_not_hide_the_others() -> None:
+    t = np.arange(400.0)
+    y = np.sin(t / 20)[:, None]  # from −1 to 1: three more on either side are shown
+    simulated = {"nnss": ("", y + 2.5), "n4sid": ("", y - t[:, None]), "ssest": ("", y + 4.5)}
+    figure = draw_simulation(t, y, simulated, [Axis("level", "m")], "s", "x", residuals=True)
+    panel, residual = figure.axes
+    assert panel.get_title(loc="right") == "leaving the panel: N4SID, SSEST"
+    assert panel.get_ylim() == pytest.approx((-4.4, 4.4), abs=0.01)
+    low, high = residual.get_ylim()
+    assert -5.5 < low < -4  # of what stays in view
+    assert 4 < high < 5.6
+    figures.close_figure(figure)
+    del simulated["n4sid"], simulated["ssest"]
+    figure = draw_simulation(t, y, simulated, [Axis("level", "m")], "s", "x", residuals=True)
+    assert figure.axes[0].get_title(loc="right") == ""
+    figures.close_figure(figure)
+
+
+def test_a_dense_signal_alone_is_one_filled_band_and_said_to_be_an_envelope() -> None:
+    """Two edges of one colour looked like two signals."""
+    t = np.arange(20_000.0)
+    y, x = np.sin(t / 2)[:, None], np.stack([np.sin(t / 2), t], axis=1)
+    figure = draw_states(t, x, y, [Axis("y", "–")], "s", "x")
+    assert [(len(panel.collections), len(panel.lines)) for panel in figure.axes] == [(1, 0), (1, 0), (0, 1)]
+    assert [panel.get_title(loc="left") for panel in figure.axes] == ["envelope: least and largest values", "", ""]
+    figures.close_figure(figure)
+
+
+def test_linear_axes_have_round_numbers() -> None:
+    t = np.arange(300.0) * 0.1 + 30
+    figure = draw_simulation(
+        t, 6.4 * np.sin(t)[:, None], {}, [Axis("y", "–")], "s", "x", slice(0, 100), look=Look((), 1)
+    )
+    figure.canvas.draw()
+    assert {"30", "35"} <= {label.get_text() for label in figure.axes[1].get_xticklabels()}
+    assert {"−5", "0", "5"} <= {label.get_text() for label in figure.axes[0].get_yticklabels()}
     figures.close_figure(figure)
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.report.dense import thinned
-from nnss_cli.report.style import log_ticks
+from nnss_cli.report.style import TICK_STEPS, log_ticks
 
 GRID = 1000
 """Whole steps across a picture that is stretched to its frame."""
@@ -69,7 +69,7 @@ def axis_of(values: Sequence[float] | FloatArray, logarithmic: bool = False, mar
 
 
 def _ticks(low: float, high: float, count: int) -> list[float]:
-    return [float(value) for value in MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)]
+    return [float(value) for value in MaxNLocator(count, steps=TICK_STEPS).tick_values(low, high)]
 
 
 def tag(name: str, *children: Any, **attributes: Any) -> Markup:
