@@ -96,7 +96,7 @@ def _draw_boxes(
     panel.set_xticks(range(len(orders)), [str(order) for order in orders])
     panel.set_xlim(-0.6, len(orders) - 0.4)
     panel.set_yscale("log")
-    _few_log_ticks(panel)
+    few_log_ticks(panel.yaxis)
 
 
 def wrapped(title: str, width: float) -> str:
@@ -129,13 +129,13 @@ def _legend_entry(look: MethodStyle, as_box: bool) -> Artist:
     )  # fmt: skip
 
 
-def _few_log_ticks(panel: Any) -> None:
-    """Plain numbers on a logarithmic axis that may span less than a decade."""
-    low, high = panel.get_ylim()
-    panel.yaxis.set_major_locator(FixedLocator(log_ticks(low, high)))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.yaxis.set_minor_locator(NullLocator())
-    panel.yaxis.set_minor_formatter(NullFormatter())
+def few_log_ticks(axis: Any, most: int = 6) -> None:
+    """Plain numbers on a logarithmic axis, with its limits as they are now; it may span less than a decade."""
+    low, high = axis.axes.get_ylim() if axis.axis_name == "y" else axis.axes.get_xlim()
+    axis.set_major_locator(FixedLocator(log_ticks(low, high, most)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())
 
 
 def draw_orders(
@@ -160,6 +160,7 @@ def draw_orders(
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
         left.bar(orders, hankel, color="0.55", edgecolor="black", width=0.7)
         left.set_yscale("log")
+        few_log_ticks(left.yaxis)
         left.set_ylabel("Hankel singular value, relative [–]")
         curves = ((train, "training", "s", (0, (4, 2)), "0.45"), (val, "validation", "o", "-", "#0072B2"))
         for errors, label, marker, line, colour in curves:

@@ -172,7 +172,7 @@ def test_a_logarithmic_axis_has_a_few_plain_numbers(
     panel = figure.subplots()
     panel.set_yscale("log")
     panel.set_ylim(low, high)
-    figures._few_log_ticks(panel)
+    figures.few_log_ticks(panel.yaxis)
     figure.canvas.draw()
     shown = [tick for tick in panel.get_yticks() if low <= tick <= high]
     assert shown == pytest.approx(ticks)
