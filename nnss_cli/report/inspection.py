@@ -255,7 +255,7 @@ def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], output
                 panel.axvline(delay.samples, color="#D55E00", linestyle="--", linewidth=1)
             said = f"delay: {_said(delay)}"
             panel.set_title(f"{_text(name, 30)}\n{said}" if i == 0 else said, fontsize=8)
-            panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+            panel.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=TICK_STEPS))
             panel.tick_params(labelsize=8)
         panels[i, 0].set_ylabel(_label(output, "–"), fontsize=7, rotation=0, ha="right", va="center")
     for panel in panels[-1]:

@@ -240,6 +240,11 @@ def _draw_profile(panel: Any, part: Profile | None, name: str, each: OutputCheck
     panel.set_title(f"{100 * part.share:.1f} % of the variance, 99 % bands", fontsize=8)
 
 
+def _factor(unit: str) -> str:
+    """A unit as a part of a quotient."""
+    return unit if unit.isalpha() or unit in ("%", "°C") else f"({unit})"
+
+
 def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
     left, right = block.subplots(1, 2)
     unit, of = found.channels.output_units[i], found.channels.input_units[driver]
@@ -258,7 +263,7 @@ def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
     right.set_xscale("log")
     right.set_yscale("log")
     right.set_xlabel("frequency [Hz]")
-    right.set_ylabel("magnitude" if {"", "–"} & {unit, of} else f"magnitude [({unit})/({of})]")
+    right.set_ylabel("magnitude" if {"", "–"} & {unit, of} else f"magnitude [{_factor(unit)}/{_factor(of)}]")
     if right.lines:
         few_log_ticks(right.xaxis)
         few_log_ticks(right.yaxis)

@@ -236,7 +236,9 @@ def test_linearisations_are_of_the_drawn_output_and_input(page: Any) -> None:
     assert (magnitude.get_xlabel(), magnitude.get_xscale(), magnitude.get_yscale()) == ("frequency [Hz]", "log", "log")
     one = replace(FOUND.outputs[0], rmse=1.01)  # of x [m], which depends most on a [V]
     step, magnitude = page(replace(FOUND, outputs=(one, FOUND.outputs[1])))[9:]
-    assert (step.get_ylabel(), magnitude.get_ylabel()) == ("response to a step of 1 V [m]", "magnitude [(m)/(V)]")
+    assert (step.get_ylabel(), magnitude.get_ylabel()) == ("response to a step of 1 V [m]", "magnitude [m/V]")
+    flow = replace(FOUND, channels=replace(FOUND.channels, output_units=("m³/s", "–")))
+    assert page(replace(flow, outputs=(one, FOUND.outputs[1])))[10].get_ylabel() == "magnitude [(m³/s)/V]"
     many = replace(FOUND.linear, points=(point((1.23456, 2, 3, 4), 0), point((1, 2, 3), 0)))
     assert entries(page(replace(FOUND, linear=many))[9]) == ["u = 1.23, 2, 3, …", "u = 1, 2, 3"]
     assert page(replace(FOUND, linear=replace(FOUND.linear, points=())))[9].get_legend() is None
