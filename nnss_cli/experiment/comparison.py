@@ -80,7 +80,8 @@ def compared(first: Path, second: Path, tolerance: float = 0.0) -> Comparison:
         own = list(_differences(name, one, other, tolerance))
         differing += own
         counts[2 if other is None else 3 if one is None else bool(own)] += 1
-    return Comparison(*counts, differing, faults)
+    equal, different, only_first, only_second = counts
+    return Comparison(equal, different, only_first, only_second, differing, faults)
 
 
 def _differences(name: str, first: Entry | None, second: Entry | None, tolerance: float) -> Iterator[Difference]:

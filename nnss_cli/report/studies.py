@@ -50,8 +50,8 @@ def changes(variants: Sequence[Variant]) -> list[str]:
 
 CHANGES = (
     "Options that each variant has in the place of the first one's. Some follow from others: where a part of the cold "
-    "model is fixed (λ, windows, widths), no cold candidate is tried, so `initial` is feedback; a run's own label then "
-    "says “changed: initial” too"
+    "model is fixed (λ, windows, widths, epochs), no cold candidate is tried, so `initial` is feedback; a run's own "
+    "label then says “changed: initial” too"
 )
 """What stands above `changes`."""
 

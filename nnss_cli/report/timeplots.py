@@ -68,8 +68,9 @@ def draw_simulation(
                 bands = bands or dense
                 draw_line(panels[row], t, measured[part, i], dense, label="measured", **MEASURED)
                 for method, (detail, y) in simulated.items():
-                    style = {"color": looks[method].colour, "linestyle": looks[method].line, "linewidth": 1.1}
-                    draw_line(panels[row], t, y[part, i], dense, label=f"{looks[method].label} {detail}", **style)
+                    own = looks[method]
+                    style: dict[str, Any] = {"color": own.colour, "linestyle": own.line, "linewidth": 1.1}
+                    draw_line(panels[row], t, y[part, i], dense, label=f"{own.label} {detail}", **style)
                     if residuals:
                         error = measured[part, i] - y[part, i]
                         style = style | {"linewidth": 0.9}
