@@ -15,7 +15,7 @@ from nnss_cli.experiment.run import Score
 from nnss_cli.report.dense import is_dense
 from nnss_cli.report.style import MEASURED, STYLE, style_of
 from nnss_cli.report.tables import number, percent
-from nnss_cli.report.timeplots import draw_line
+from nnss_cli.report.timeplots import ENVELOPE, draw_line
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:
@@ -79,6 +79,8 @@ def draw_simulated(
                 panel, time, u[:, i], is_dense(u[:, i]), True, color="0.35", linewidth=0.9, drawstyle="steps-post"
             )
             panel.set_ylabel(textwrap.fill(titled(channels.inputs[i], channels.input_units[i]), 14))
+        if any(is_dense(signal) for signal in (*y.T, *u.T)):
+            panels[0, 0].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:
             panel.margins(x=0.01)
         panels[-1, 0].set_xlabel("time [s]")

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import InputError
 from nnss_cli.report import figures
 from nnss_cli.report.comparison import _boxplot, transient
 from nnss_cli.report.dense import BINS, PIXELS, envelope, is_dense, thinned
+from nnss_cli.report.simulation import draw_simulated
 from nnss_cli.report.style import MEASURED, MORE, STYLES, Axis, Look, legend_columns, log_ticks, styles_of
 from nnss_cli.report.timeplots import draw_simulation, draw_states
 
@@ -176,6 +178,17 @@ def test_a_dense_signal_alone_is_one_filled_band_and_said_to_be_an_envelope() ->
     assert [(len(panel.collections), len(panel.lines)) for panel in figure.axes] == [(1, 0), (1, 0), (0, 1)]
     assert [panel.get_title(loc="left") for panel in figure.axes] == ["envelope: least and largest values", "", ""]
     figures.close_figure(figure)
+
+
+def test_what_is_simulated_of_a_dense_file_is_said_to_be_an_envelope() -> None:
+    t = np.arange(8000.0)
+    dense, plain = np.sin(t / 2)[:, None], np.zeros((8000, 1))
+    channels = Channels(("u",), ("y",), ("V",), ("m",))
+    for u, y, said in ((plain, dense, "envelope: least and largest values"), (plain, plain, "")):
+        figure = draw_simulated(t, u, 1.1 * y, y, channels, "a model")
+        assert figure.axes[0].get_title(loc="left") == said
+        assert len(figure.axes[1].collections) == bool(said)  # the residual: one band
+        figures.close_figure(figure)
 
 
 def test_linear_axes_have_round_numbers() -> None:
