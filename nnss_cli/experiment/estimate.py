@@ -68,7 +68,8 @@ def is_combined(spec: RunSpec) -> bool:
 
 def _own_seconds(result: RunResult) -> float:
     """What a run took itself [s]: the time of a combination's fit has its members' in it."""
-    return float(result.provenance["seconds"] if is_combined(result.spec) else result.fit_seconds)
+    own = result.provenance.get("seconds", "")
+    return float(own) if is_combined(result.spec) and own.replace(".", "", 1).isdecimal() else result.fit_seconds
 
 
 class Forecast:

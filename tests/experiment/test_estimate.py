@@ -30,6 +30,8 @@ def test_a_combination_is_expected_to_take_what_it_takes_itself() -> None:
     made = replace(result(MEAN, 79.0), provenance={"seconds": "0.4"})
     told = estimate([replace(MEAN, order=3)], [made], 1)
     assert told.seconds == pytest.approx(0.4 + OVERHEAD)
+    for text in ({}, {"seconds": "soon"}):  # of an older nnss, or of a damaged file
+        assert estimate([MEAN], [replace(made, provenance=text)], 1).seconds == pytest.approx(79.0 + OVERHEAD)
 
 
 def test_a_first_study_is_estimated_from_its_own_first_runs() -> None:
