@@ -55,7 +55,11 @@ def draw_boxplot(
     boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
     with plt.rc_context(look.style):
         figure, panels = plt.subplots(
-            down, across, figsize=(width, height), squeeze=False, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+            down,
+            across,
+            figsize=(width, look.height(height)),
+            squeeze=False,
+            layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06),
         )
         for panel in panels.flat[len(values) :]:
             panel.remove()

@@ -88,6 +88,10 @@ WIDTHS = {1: 3.5, 2: 7.16}
 """Columns of a paper → width [inch]."""
 
 
+PAGE = 9.2
+"""Height of a page's text [inch]."""
+
+
 @dataclass(frozen=True)
 class Look:
     """What figures are written as."""
@@ -113,6 +117,10 @@ class Look:
     def width(self) -> float | None:
         """Of a figure [inch]; None for what a screen has room for."""
         return None if self.columns is None else WIDTHS[self.columns]
+
+    def height(self, wanted: float) -> float:
+        """Of a figure [inch]: what it asks for, on paper no more than a page has."""
+        return wanted if self.columns is None else min(wanted, PAGE)
 
     @property
     def style(self) -> Any:

@@ -21,7 +21,6 @@ from nnss_cli.report.figures import add_legend, wrapped
 from nnss_cli.report.style import MEASURED, SCREEN, TICK_STEPS, Axis, Look, style_of, styles_of
 
 ROOM = 1.5  # ranges of the measured output that a panel reaches beyond it
-PAGE = 9.2  # inches that a page's text is high
 ENVELOPE = "envelope: least and largest values"
 
 
@@ -57,7 +56,7 @@ def draw_simulation(
     width = look.width or (7.2 if zoom is None else 9.6)
     height = (1.2 + sum(heights) * (2 if below else 1)) * (0.85 if look.width else 1.0)
     with plt.rc_context(look.style):
-        figure = plt.figure(figsize=(width, min(height, PAGE) if look.width else height), layout="constrained")
+        figure = plt.figure(figsize=(width, look.height(height)), layout="constrained")
         columns = _stacked(figure, heights, len(parts)) if below else _beside(figure, heights, len(parts))
         for panels, part in zip(columns, parts, strict=True):
             t = time[part]
@@ -215,7 +214,7 @@ def draw_states(
     with plt.rc_context(look.style):
         n, m = states.shape[1], measured.shape[1]
         figure, panels = plt.subplots(
-            n + m, 1, figsize=(look.width or 7.2, 0.9 + 1.05 * (n + m)), sharex=True, squeeze=False,
+            n + m, 1, figsize=(look.width or 7.2, look.height(0.9 + 1.05 * (n + m))), sharex=True, squeeze=False,
             layout="constrained",
         )  # fmt: skip
         for i in range(m):

@@ -202,6 +202,18 @@ def test_linear_axes_have_round_numbers() -> None:
     figures.close_figure(figure)
 
 
+@pytest.mark.parametrize("columns", [1, 2])
+def test_no_figure_for_a_paper_is_higher_than_its_page(columns: int) -> None:
+    t, y = np.arange(50.0), np.zeros((50, 4))
+    panels = {f"y{i}": {"nnss": {2: [1.0, 2.0]}} for i in range(16)}
+    for drawn in (
+        figures.draw_boxplot(panels, dict.fromkeys(panels, "RMSE"), "x", look=Look((), columns)),
+        draw_states(t, np.zeros((50, 9)), y, [Axis(f"y{i}", "–") for i in range(4)], "s", "x", look=Look((), columns)),
+    ):
+        assert drawn.get_figheight() == 9.2
+        figures.close_figure(drawn)
+
+
 def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_few_instants() -> None:
     t = np.arange(20_000.0) / 50_000 + 1.3675
     y, u = np.linspace(0, 1, len(t))[:, None], np.sin(np.arange(len(t)) / 2)
