@@ -48,7 +48,9 @@ def take(path: Path, wanted: tuple[tuple[str, ...], ...]) -> tuple[bytes, ...]:
     except InputError:
         raise
     except Exception as error:  # zipfile raises whatever the damaged bytes lead it to
-        raise InputError(f"'{path}' is not a readable zip: truncated, corrupt, encrypted or another format") from error
+        raise InputError(
+            f"'{path}' is not a readable zip: truncated, corrupt, encrypted or another format: take the original"
+        ) from error
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:

@@ -110,7 +110,7 @@ def _length(lengths: dict[str, int], wanted: Sequence[str | int], source: str) -
         if lengths[name] != lengths[asked[0]]:
             raise InputError(
                 f"{source}: columns differ in length: '{asked[0]}' has {lengths[asked[0]]} samples, "
-                f"'{name}' has {lengths[name]}"
+                f"'{name}' has {lengths[name]}: take columns of one length"
             )
     if asked:
         return lengths[asked[0]]

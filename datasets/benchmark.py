@@ -121,7 +121,9 @@ def parse_matlab(path: Path, content: bytes, variable_sets: tuple[tuple[str, ...
     try:
         variables = scipy.io.loadmat(io.BytesIO(content), chars_as_strings=False)
     except Exception as error:  # scipy raises whatever the damaged bytes lead it to
-        raise InputError(f"'{path}' is not a readable MATLAB file: truncated, corrupt or another format") from error
+        raise InputError(
+            f"'{path}' is not a readable MATLAB file: truncated, corrupt or another format: take the original"
+        ) from error
     matrices = {
         name: np.asarray(values, dtype=np.float64)
         for name, values in variables.items()

@@ -216,16 +216,23 @@ class Description:
         if self.time is None and self.Ts is None:
             raise InputError("Ts: expected the sampling time in seconds, or a time column (time), found neither")
         if self.time is not None and self.Ts is not None and self.resample is not None:
-            raise InputError("Ts: expected none where a time column is resampled: resample is the new sampling time")
+            raise InputError(
+                f"Ts: expected none where a time column is resampled, found {self.Ts:g} beside resample "
+                f"{self.resample:g}, which is the new sampling time: leave Ts out"
+            )
         if self.val and self.split is not None:
-            raise InputError("split: expected none beside val files, which validate instead: leave one out")
+            raise InputError(
+                f"split: expected none beside val files, which validate instead, found '{self.split}': leave one out"
+            )
         parts = self.parts
         if not self.val and parts[1] == 0:
             raise InputError(
                 f"split '{self.split}': the validation part is empty: every choice needs one, or val files"
             )
         if self.test and parts[2] > 0:
-            raise InputError(f"split '{self.split}': expected 0 for test beside test files, as 75/25/0")
+            raise InputError(
+                f"split '{self.split}': expected 0 for test beside test files, as 75/25/0, found {parts[2]:.3g}"
+            )
 
     @property
     def parts(self) -> tuple[float, float, float]:
@@ -279,7 +286,9 @@ def read_description(path: Path) -> Description:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_FILE + 1) if path.is_file() else b""
         if len(content) > LARGEST_FILE:
-            raise InputError(f"'{path.name}' is no description: longer than {LARGEST_FILE} bytes")
+            raise InputError(
+                f"'{path.name}' is no description: longer than {LARGEST_FILE} bytes: expected a short TOML file"
+            )
         table = tomllib.loads(content.decode())
     except OSError as error:
         raise InputError(f"cannot read the description '{path}': {error.strerror or error}") from error

@@ -110,7 +110,7 @@ def install(benchmark: Benchmark, file: Path) -> Path:
         InputError: the file is not the benchmark's.
     """
     if not benchmark.sources:
-        raise InputError(f"dataset '{benchmark.name}' is simulated: it needs no file")
+        raise InputError(f"dataset '{benchmark.name}' is simulated: expected no file, found '{file}': leave --from out")
     with tempfile.TemporaryDirectory(prefix="nnss-") as folder:
         single = _single_file(benchmark, file, Path(folder))
         content = read_bytes(single)

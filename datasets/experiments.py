@@ -154,8 +154,11 @@ def _parts(description: Description) -> dict[str, list[_Part]]:
     role_of: dict[Path, str] = {}
     for role, files in roles.items():
         for file in files:
-            if role_of.setdefault(description.path(file), role) != role:
-                raise InputError(f"file '{file}' stands under two of train, val and test: expected different records")
+            other = role_of.setdefault(description.path(file), role)
+            if other != role:
+                raise InputError(
+                    f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
+                )
     read = {file: _signals(description, file) for files in roles.values() for file in files}
     parts: dict[str, list[_Part]] = {"train": [], "val": []}
     for file in description.files:
@@ -177,7 +180,7 @@ def _signals(description: Description, file: str) -> _Signals:
     names = [str(name) for name in table.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(f"'{path.name}': column '{name}' is asked for twice, by name and by number")
+            raise InputError(f"'{path.name}': column '{name}' is asked for twice, by name and by number: name it once")
     signals = tuple(names[: len(columns)])
 
     def where(k: int) -> str:

@@ -57,7 +57,7 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     if path.stat().st_size == 0:
         raise InputError(f"'{path.name}' is empty: expected samples")
     if sheet is not None and suffix != ".xlsx":
-        raise InputError(f"'{path.name}' has no sheets: leave out sheet")
+        raise InputError(f"'{path.name}' has no sheets, found sheet {shown(sheet)}: leave it out")
     try:
         table = _read(path, suffix, columns, sheet)
     except InputError:

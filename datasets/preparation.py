@@ -179,7 +179,9 @@ def resample(t: FloatArray, values: FloatArray, Ts: float) -> FloatArray:
     span = float(t[-1] - t[0])
     usual = float(np.median(np.diff(t)))
     if Ts > span:
-        raise InputError(f"resample: {Ts:.6g} s makes fewer than two samples of a record of {span:.6g} s")
+        raise InputError(
+            f"resample: {Ts:.6g} s makes fewer than two samples of a record of {span:.6g} s: give a shorter one"
+        )
     q = int(np.ceil(OVERSAMPLING * Ts / usual)) if Ts > (1 + JITTER) * usual else 1
     count = span / Ts * q
     if count > max(LARGEST_GRID, 100 * len(t)):

@@ -162,7 +162,8 @@ def _lines(path: Path, stream: TextIO, skipped: int = 0) -> Iterator[tuple[int, 
             number += 1
             if len(line) == LONGEST_LINE:
                 raise InputError(
-                    f"'{path.name}' row {number}: more than {LONGEST_LINE} characters: not a table of numbers"
+                    f"'{path.name}' row {number}: more than {LONGEST_LINE} characters: expected a row of numbers; end "
+                    "each row by a line break, or give the file its right suffix"
                 )
             if number > skipped and line.strip() and not line.lstrip().startswith("#"):
                 yield number, line

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from html_runs import make_runs
 
 import nnss_cli.api
 from nnss_cli.app import app
+from nnss_cli.commands.layout import lines_of
+from nnss_cli.report.tables import error_tables
 from nnss_cli.testing import small_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -137,6 +140,20 @@ def test_the_examples_of_docstrings_run(nnss: Callable) -> None:
     found = doctest.testmod(nnss_cli.api, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert found.failed == 0
     assert found.attempted >= 6
+
+
+def test_the_front_pages_table_is_laid_out_as_it_is_printed(tmp_path: Path) -> None:
+    """Its rows, under the heads that runs with a unit have, give its text to the letter."""
+    (found,) = error_tables(make_runs(tmp_path, seeds=2).results())
+    (shown,) = (body for _, body in FENCE.findall((ROOT / "README.md").read_text(encoding="utf-8")) if "q1–q3" in body)
+    lines = shown.splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("n "))
+    rule = next(i for i, line in enumerate(lines) if line.startswith("─"))
+    rows = [dict(zip(found.rows[0], line.split(), strict=True)) for line in lines[rule + 1 :]]
+    assert len(rows) == 18
+    assert "\n".join(lines[head:]) == "\n".join(lines_of(rows, found.heads, 2, 80))
+    title = " ".join(lines[:head]).partition(": RMSE of ")[2].partition("]")[2]
+    assert title == found.title.partition(": RMSE of ")[2].partition("]")[2]
 
 
 def test_the_front_pages_figures_stand_in_the_pages_it_links_to() -> None:

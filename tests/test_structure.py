@@ -196,3 +196,16 @@ def test_the_faults_that_reviews_made_by_hand_are_still_to_be_made() -> None:
         assert found == 1, f"{entry['name']}: {found} times in {entry['file']}"
         file, _, name = entry["test"].partition("::")
         assert f"def {name.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8"), entry["test"]
+
+
+@pytest.mark.parametrize("folder", ["datasets", "nnss_cli/commands"])
+def test_a_message_of_bad_input_says_what_was_found(folder: str) -> None:
+    """A text that names no value of this call, nor says "found", is the same whatever the user gave."""
+    silent = [
+        f"{path.name}:{node.lineno}: {ast.unparse(node.args[0])}"
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "InputError"
+        if isinstance(node.args[0], ast.Constant) and "found" not in node.args[0].value
+    ]
+    assert silent == []

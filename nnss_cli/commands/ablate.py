@@ -41,7 +41,7 @@ def command(
     from nnss_cli.experiment.ablation import ablate
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
-    from nnss_cli.report.build import write_study
+    from nnss_cli.report.studies import write_study
     from nnss_cli.report.tables import study_rows
 
     workers = opt.check_counts(seeds, jobs)

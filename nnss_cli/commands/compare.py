@@ -57,7 +57,7 @@ def command(
     from nnss_cli.experiment.sweep import AGAIN, plan, sweep
     from nnss_cli.files import require_writable
     from nnss_cli.methods import select
-    from nnss_cli.report.build import write_comparison
+    from nnss_cli.report.comparison import write_comparison
     from nnss_cli.report.style import Look
     from nnss_cli.report.tables import error_tables, failures, options_apart, remarks
 

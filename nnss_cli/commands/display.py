@@ -24,7 +24,7 @@ from rich.progress import (
 from nnss_cli.commands.events import emit, emitting
 from nnss_cli.commands.layout import lines_of
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.estimate import Estimate
+from nnss_cli.experiment.estimate import Estimate, is_combined
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.report.cells import Cell, plain, whole
@@ -149,7 +149,8 @@ class RunProgress:
             state=f"{self.finished}/{self.total}",
         )
         outcome = result.status if result.status == "ok" else f"{result.status}: {result.reason}"
-        line = f"[{self.finished}/{self.total}] {describe(result.spec)}: {outcome} ({result.fit_seconds:.1f} s)"
+        took = f"{result.fit_seconds:.1f} s{', with its members' * is_combined(result.spec)}"
+        line = f"[{self.finished}/{self.total}] {describe(result.spec)}: {outcome} ({took})"
         if not console.is_terminal:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
         elif result.status != "ok":

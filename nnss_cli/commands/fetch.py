@@ -51,11 +51,13 @@ def command(
         return
     names = list(BENCHMARKS.all_usable()) if everything else list(datasets or [])
     if not names:
-        raise InputError(f"name a dataset ({', '.join(BENCHMARKS)}), or use --all or --list")
+        raise InputError(f"expected a dataset ({', '.join(BENCHMARKS)}), --all or --list, found none of them")
     entries = [benchmark(name) for name in names]
     if file is not None:
         if len(entries) != 1:
-            raise InputError("--from takes one file for one dataset: name exactly one")
+            raise InputError(
+                f"--from: expected one dataset, which the file is of, found {len(entries)}: name exactly one"
+            )
         path = install(entries[0], file)
         emit("end", dataset=entries[0].name, files=[str(path)])
         console.print(f"{entries[0].name}: {path}", soft_wrap=True, highlight=False)

@@ -359,7 +359,10 @@ def check_executor(executor: str, scheduler: str) -> None:
     if executor not in ("local", "dask"):
         raise unknown("executor", executor, ("local", "dask"))
     if (executor == "dask") != bool(scheduler):
-        raise InputError(f"--executor {executor}: expected --scheduler ADDRESS with dask, and only there")
+        found = f"--scheduler {scheduler}" if scheduler else "none"
+        raise InputError(
+            f"--executor {executor}: expected --scheduler ADDRESS with dask, and only there, found {found}"
+        )
 
 
 def check_counts(seeds: int, jobs: int | None) -> int:

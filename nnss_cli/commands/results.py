@@ -60,7 +60,10 @@ def show_command(runs: Patterns = None, out: Out = Path("results"), as_json: AsJ
     from nnss_cli.report.tables import score_rows
 
     if not runs:
-        raise InputError("show: expected the name of a run, such as twotank/paper/nnss-n3-s0; 'nnss results list'")
+        raise InputError(
+            "show: expected the name of a run, such as twotank/paper/nnss-n3-s0, found none: 'nnss results list' "
+            "names them"
+        )
     found = entries(out, runs)
     if not found:
         raise InputError(f"no run {', '.join(runs)} in '{out}': 'nnss results list' names those that are there")
@@ -95,8 +98,12 @@ def diff_command(
     found = compared(first, second, tolerance)
     if found.differing:
         print_rows(difference_rows(found.differing), f"'{first}' (A) and '{second}' (B) differ", text_columns=2)
-    console.print(f"{found.equal} runs equal, {len({one.name for one in found.differing})} different", highlight=False)
-    emit("end", equal=found.equal, different=len({one.name for one in found.differing}), left_out=found.faults)
+    lacking = "".join(f", {n} only in {name}" for name, n in (("A", found.only_first), ("B", found.only_second)) if n)
+    console.print(f"{found.equal} runs equal, {found.different} different{lacking}", highlight=False)
+    emit(
+        "end", equal=found.equal, different=found.different, only_in_A=found.only_first, only_in_B=found.only_second,
+        left_out=found.faults,
+    )  # fmt: skip
     tell_left_out(found.faults)
     if found.differing or found.faults:
         raise typer.Exit(1)
@@ -114,7 +121,7 @@ def rm_command(
     from nnss_cli.experiment.collection import entries, remove
 
     if not runs and not status:
-        raise InputError("rm: expected names of runs, or --status; '*' is all of them")
+        raise InputError("rm: expected names of runs, or --status, found neither: '*' is all of them")
     chosen = entries(out, runs or (), status or ())
     if not chosen:
         raise InputError(f"no such runs in '{out}': 'nnss results list' names those that are there")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import unknown
@@ -12,10 +14,12 @@ from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, records_of
 from nnss_cli.experiment.sweep import plan, sweep
+from nnss_cli.files import write_text
 from nnss_cli.methods import METHODS, Settings, load_model
 from nnss_cli.methods.options import for_method
 
 STRESS = 20_000  # steps of a run's stress test
+STRESSED = "stress.json"  # what came of it, in the run's folder
 
 # variant → what it changes
 STUDIES: dict[str, dict[str, Settings]] = {
@@ -100,18 +104,58 @@ def ablate(
         wanted = set(seeds)
         table = agreeing(own, own.read(planned.found), planned.faults)
         results = tuple(r for r in table.results if r.spec.order in orders and r.spec.seed in wanted)
-        unbounded = tuple(r for r in results if _diverges(own, r)) if study == "stability" else None
-        found.append(Variant(name, results, unbounded, tuple(table.left_out)))
+        if study == "stability":
+            for result in results:
+                _stress(own, result)
+        found.append(Variant(name, results, _unbounded(own, results, study), tuple(table.left_out)))
     return found
 
 
-def _diverges(store: Store, result: RunResult) -> bool:
-    """Whether the state leaves the range of numbers under the stress inputs."""
+def studies(store: Store) -> dict[str, list[Variant]]:
+    """The studies of which runs are on disk, each with all of them: nothing is trained or put under stress."""
+    found: dict[str, list[Variant]] = {}
+    for study, changes in STUDIES.items():
+        variants = []
+        for name in changes:
+            own = variant_store(store, study, name)
+            table = agreeing(own, own.read())
+            results = tuple(table.results)
+            variants.append(Variant(name, results, _unbounded(own, results, study), tuple(table.left_out)))
+        if any(variant.results for variant in variants):
+            found[study] = variants
+    return found
+
+
+def _unbounded(store: Store, results: Sequence[RunResult], study: str) -> tuple[RunResult, ...] | None:
+    """The runs that left the range of numbers; None where a model was not put under stress."""
+    stressed = {id(result): _stressed(store, result) for result in results if result.status == "ok"}
+    if study != "stability" or None in stressed.values():
+        return None
+    return tuple(result for result in results if stressed.get(id(result)))
+
+
+def _stressed(store: Store, result: RunResult) -> bool | None:
+    """Whether a run's model left the range of numbers under stress, as its folder says; None where it does not."""
+    try:
+        kept: Any = json.loads((store.run_folder(result.spec) / STRESSED).read_text(encoding="utf-8"))
+        return bool(kept["unbounded"]) if kept["steps"] == STRESS else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _stress(store: Store, result: RunResult) -> None:
+    """Try whether a model's state leaves the range of numbers under the stress inputs, and keep what came of it.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     from nnss_cli.experiment.certificate import certify
 
-    if result.status != "ok":  # there is no model to try
-        return False
+    if result.status != "ok" or _stressed(store, result) is not None:  # no model to try, or one that was tried
+        return
     folder = store.run_folder(result.spec)
     model = load_model(folder)
     found = certify(model, records_of(folder, model.Ts), steps=STRESS, search_lyapunov=False)
-    return any(run.steps < STRESS for run in found.stress)
+    unbounded = any(run.steps < STRESS for run in found.stress)
+    with store.writing():
+        write_text(folder / STRESSED, json.dumps({"steps": STRESS, "unbounded": unbounded}) + "\n")

@@ -43,6 +43,12 @@ class Comparison:
 
     equal: int
     """Runs that are in both and differ in nothing."""
+    different: int
+    """Runs that are in both and differ."""
+    only_first: int
+    """Runs that the second folder lacks."""
+    only_second: int
+    """Runs that the first lacks."""
     differing: list[Difference]
     """By run, in a fixed order."""
     faults: list[str]
@@ -66,15 +72,16 @@ def compared(first: Path, second: Path, tolerance: float = 0.0) -> Comparison:
     found = {entry.name: entry for entry in entries(first)}, {entry.name: entry for entry in entries(second)}
     faults = [entry.fault for side in found for entry in side.values() if entry.fault]
     differing: list[Difference] = []
-    equal = 0
+    counts = [0, 0, 0, 0]  # equal, different, only in the first, only in the second
     for name in sorted(found[0].keys() | found[1].keys()):
         one, other = (side.get(name) for side in found)
         if (one and one.fault) or (other and other.fault):
             continue
         own = list(_differences(name, one, other, tolerance))
         differing += own
-        equal += not own
-    return Comparison(equal, differing, faults)
+        counts[2 if other is None else 3 if one is None else bool(own)] += 1
+    equal, different, only_first, only_second = counts
+    return Comparison(equal, different, only_first, only_second, differing, faults)
 
 
 def _differences(name: str, first: Entry | None, second: Entry | None, tolerance: float) -> Iterator[Difference]:

@@ -50,7 +50,7 @@ def estimate(todo: Sequence[RunSpec], earlier: Sequence[RunResult], jobs: int) -
         counts[spec.method, spec.order] = counts.get((spec.method, spec.order), 0) + 1
     times: dict[str, dict[int, list[float]]] = {}
     for result in earlier:
-        times.setdefault(result.spec.method, {}).setdefault(result.spec.order, []).append(result.fit_seconds)
+        times.setdefault(result.spec.method, {}).setdefault(result.spec.order, []).append(_own_seconds(result))
     groups = []
     for (method, order), runs in counts.items():
         known = times.get(method, {})
@@ -59,6 +59,17 @@ def estimate(todo: Sequence[RunSpec], earlier: Sequence[RunResult], jobs: int) -
     total = sum(group.runs * (OVERHEAD + (group.seconds or 0.0)) for group in groups)
     unknown = dict.fromkeys(group.method for group in groups if group.seconds is None)
     return Estimate(tuple(groups), total / max(1, min(jobs, len(todo))), tuple(unknown))
+
+
+def is_combined(spec: RunSpec) -> bool:
+    """Whether a run combines the models of others, which have trained them."""
+    return "members" in spec.settings
+
+
+def _own_seconds(result: RunResult) -> float:
+    """What a run took itself [s]: the time of a combination's fit has its members' in it."""
+    own = result.provenance.get("seconds", "")
+    return float(own) if is_combined(result.spec) and own.replace(".", "", 1).isdecimal() else result.fit_seconds
 
 
 class Forecast:
@@ -80,14 +91,18 @@ class Forecast:
 
 
 def amount(todo: Sequence[RunSpec]) -> str:
-    """How much is planned, in words, by method: runs, and epochs at most where a method has them."""
+    """How much is planned, in words, by method: runs, and the epochs of each at most where a method has them."""
     runs: dict[str, list[RunSpec]] = {}
     for spec in todo:
         runs.setdefault(spec.method, []).append(spec)
     parts = []
     for method, own in runs.items():
-        epochs = sum(int(spec.settings.get("epochs", 0)) for spec in own)
-        most = f", {epochs:,} epochs at most" if epochs else ""
+        epochs = sorted({int(spec.settings.get("epochs", 0)) for spec in own if not is_combined(spec)} - {0})
+        most = (
+            f", each of {' to '.join(f'{n:,}' for n in {epochs[0]: 0, epochs[-1]: 0})} epochs at most" if epochs else ""
+        )
+        if all(map(is_combined, own)):
+            most = ", made of the others' runs"
         parts.append(f"{method} {len(own):,} run{'s' * (len(own) > 1)} of order {_orders(own)}{most}")
     return "; ".join(parts)
 

@@ -1,4 +1,4 @@
-"""The figures. Each function draws what it is given; nothing is computed or chosen here."""
+"""Figures of errors: box plots, orders, ranks. Each function draws what it is given; nothing is computed here."""
 
 from __future__ import annotations
 
@@ -24,22 +24,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullForm
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.files import write_atomically
-from nnss_cli.report.dense import envelope, is_dense, rms, thinned
-from nnss_cli.report.style import (
-    MEASURED,
-    SCREEN,
-    STYLE,
-    Axis,
-    Look,
-    MethodStyle,
-    legend_columns,
-    log_ticks,
-    style_of,
-    styles_of,
-)
+from nnss_cli.report.style import SCREEN, STYLE, Look, MethodStyle, legend_columns, log_ticks, styles_of
 
 FLAT = 0.02  # of the panel's height: boxes below it would be all outline
-ENVELOPE = "envelope: least and largest values"
 PANEL = 2.3  # inches that a panel of the box plot needs, at least
 
 
@@ -68,7 +55,11 @@ def draw_boxplot(
     boxed = {method for method in methods if any(_has_boxes(by_method, method) for by_method in values.values())}
     with plt.rc_context(look.style):
         figure, panels = plt.subplots(
-            down, across, figsize=(width, height), squeeze=False, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
+            down,
+            across,
+            figsize=(width, look.height(height)),
+            squeeze=False,
+            layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06),
         )
         for panel in panels.flat[len(values) :]:
             panel.remove()
@@ -79,8 +70,8 @@ def draw_boxplot(
             if titles:
                 panel.set_title(titles[name], fontsize="medium")
         handles = [_legend_entry(looks[method], method in boxed) for method in methods]
-        _legend(figure, handles, 3 if across == 1 else 4 if across == 2 else 6)
-        figure.suptitle(_wrapped(title, width), fontsize="large")
+        add_legend(figure, handles, 3 if across == 1 else 4 if across == 2 else 6)
+        figure.suptitle(wrapped(title, width), fontsize="large")
     return figure
 
 
@@ -109,15 +100,15 @@ def _draw_boxes(
     panel.set_xticks(range(len(orders)), [str(order) for order in orders])
     panel.set_xlim(-0.6, len(orders) - 0.4)
     panel.set_yscale("log")
-    _few_log_ticks(panel)
+    few_log_ticks(panel.yaxis)
 
 
-def _wrapped(title: str, width: float) -> str:
+def wrapped(title: str, width: float) -> str:
     """A title in lines that fit into so many inches."""
     return "\n".join(textwrap.fill(line, int(width * 12.5)) for line in title.splitlines())
 
 
-def _legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
+def add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
     figure.legend(handles=list(handles), loc="outside lower center", ncols=legend_columns(len(handles), most))
 
 
@@ -142,177 +133,13 @@ def _legend_entry(look: MethodStyle, as_box: bool) -> Artist:
     )  # fmt: skip
 
 
-def _few_log_ticks(panel: Any) -> None:
-    """Plain numbers on a logarithmic axis that may span less than a decade."""
-    low, high = panel.get_ylim()
-    panel.yaxis.set_major_locator(FixedLocator(log_ticks(low, high)))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.yaxis.set_minor_locator(NullLocator())
-    panel.yaxis.set_minor_formatter(NullFormatter())
-
-
-def draw_simulation(
-    time: FloatArray, measured: FloatArray, simulated: Mapping[str, tuple[str, FloatArray]],
-    outputs: Sequence[Axis], time_unit: str, title: str, zoom: slice | None = None, breaks: Sequence[int] = (),
-    inputs: Sequence[tuple[Axis, FloatArray]] = (), residuals: bool = False, look: Look = SCREEN,
-) -> Figure:  # fmt: skip
-    """Measured and simulated outputs, one row an output, with a second column for a part of a long record.
-
-    A record whose line would be a band of ink is drawn by its envelope: the least and largest values of each piece.
-
-    Args:
-        time: instants (K,).
-        measured: outputs (K, m).
-        simulated: method → (what to add to its label, outputs (K, m)).
-        outputs: names and units.
-        time_unit: unit of `time`.
-        title: of the figure.
-        zoom: samples of the second column; None for none. In a single column of a paper there is no room for it.
-        breaks: samples at which another record begins.
-        inputs: name and samples (K,) of each, in panels below; several share one, each over its range.
-        residuals: whether a panel below each output shows measured minus simulated; of an envelope its rms.
-        look: size of the figure.
-    """
-    m = measured.shape[1]
-    zoom = None if look.columns == 1 else zoom
-    parts = [slice(None)] if zoom is None else [slice(None), zoom]
-    looks = styles_of(simulated)
-    heights = [1.9, 0.95] * m if residuals else [1.9] * m
-    if inputs:
-        heights.append(0.95 if len(inputs) == 1 else 0.5 + 0.3 * len(inputs))
-    width = look.width or (7.2 if zoom is None else 9.6)
-    height = (1.2 + sum(heights)) * (0.85 if look.width else 1.0)
-    with plt.rc_context(look.style):
-        figure, panels = plt.subplots(
-            len(heights), len(parts), figsize=(width, height), sharex="col", squeeze=False,
-            layout="constrained", width_ratios=[3, 2][: len(parts)], height_ratios=heights,
-        )  # fmt: skip
-        for column, part in enumerate(parts):
-            t = time[part]
-            bands = False
-            for i in range(m):
-                row = i * (2 if residuals else 1)
-                panel = panels[row, column]
-                dense = is_dense(measured[part, i])
-                bands = bands or dense
-                draw_line(panel, t, measured[part, i], dense, label="measured", **MEASURED)
-                for method, (detail, y) in simulated.items():
-                    style = {"color": looks[method].colour, "linestyle": looks[method].line, "linewidth": 1.1}
-                    draw_line(panel, t, y[part, i], dense, label=f"{looks[method].label} {detail}", **style)
-                    if residuals:
-                        error = measured[part, i] - y[part, i]
-                        style = style | {"linewidth": 0.9}
-                        panels[row + 1, column].plot(*(rms(t, error) if dense else thinned(t, error)), **style)
-                panel.set_ylabel(textwrap.fill(str(outputs[i]), 24))
-                if residuals:
-                    panels[row + 1, column].axhline(0, color="0.3", linewidth=0.6)
-                    panels[row + 1, column].set_ylabel(f"residual{', rms' * dense}{_unit(outputs[i])}")
-            if inputs:
-                _draw_inputs(panels[-1, column], t, [(axis, u[part]) for axis, u in inputs])
-            if bands:
-                panels[0, column].set_title(ENVELOPE, fontsize="small", loc="left")
-            elif column:
-                panels[0, column].set_title("a part of it", fontsize="small", loc="left")
-            if not bands and any(is_dense(u[part]) for _, u in inputs):
-                panels[-1, column].set_title(ENVELOPE, fontsize="small", loc="left")
-        for panel in panels[:, 0]:
-            _mark_breaks(panel, time, breaks)
-            if zoom is not None:  # where the second column stands in the first
-                panel.axvspan(time[zoom][0], time[zoom][-1], color="0.93", zorder=0)
-        for panel in panels.flat:
-            panel.margins(x=0.01)
-            panel.yaxis.set_major_locator(MaxNLocator(4)) if not panel.get_label() else None
-        for panel in panels[-1]:
-            panel.set_xlabel(f"time [{time_unit}]")
-        if zoom is not None:  # a short part of a long record has long numbers
-            panels[-1, 1].xaxis.set_major_locator(MaxNLocator(4))
-        figure.align_ylabels(panels[:-1] if len(inputs) > 1 else panels)
-        _legend(figure, panels[0, 0].get_legend_handles_labels()[0], 2 if look.columns == 1 else 4)
-        figure.suptitle(_wrapped(title, width), fontsize="large")
-    return figure
-
-
-def draw_line(panel: Any, time: FloatArray, values: FloatArray, dense: bool, **style: Any) -> None:
-    """A signal as a line, or by its envelope: filled where it is the measured one, else its two edges."""
-    if not dense:
-        panel.plot(*thinned(time, values), **style)
-        return
-    edges = envelope(time, values)
-    if style.get("label") == "measured":
-        panel.fill_between(edges.time, edges.low, edges.high, color="0.85", linewidth=0, label="measured", step="post")
-        return
-    panel.plot(edges.time, edges.high, **style)
-    panel.plot(edges.time, edges.low, **style | {"label": None})
-
-
-def _draw_inputs(panel: Any, time: FloatArray, inputs: Sequence[tuple[Axis, FloatArray]]) -> None:
-    """One input in its unit; several above each other, each over its range."""
-    for row, (_, u) in enumerate(inputs):
-        if len(inputs) > 1:
-            span = float(np.ptp(u))
-            u = row + 0.8 * ((u - u.min()) / span if span > 0 else np.full(len(u), 0.5))
-        draw_line(panel, time, u, is_dense(u), color="0.25", linewidth=0.9, drawstyle="steps-post")
-    if len(inputs) == 1:
-        panel.set_ylabel(textwrap.fill(str(inputs[0][0]), 14))
-        return
-    panel.set_label("inputs")
-    panel.set_yticks([row + 0.4 for row in range(len(inputs))], [axis.name for axis, _ in inputs], fontsize="x-small")
-    panel.set_ylabel("inputs, each\nover its range")
-    panel.grid(False, axis="y")
-
-
-def _unit(axis: Axis) -> str:
-    return "" if axis.unit in ("–", "") else f"\n[{axis.unit}]"
-
-
-def _mark_breaks(panel: Any, time: FloatArray, breaks: Sequence[int]) -> None:
-    for at in breaks:
-        panel.axvline(time[at], color="0.3", linewidth=0.8, linestyle=(0, (5, 3)))
-
-
-def draw_states(
-    time: FloatArray,
-    states: FloatArray,
-    measured: FloatArray,
-    outputs: Sequence[Axis],
-    time_unit: str,
-    title: str,
-    breaks: Sequence[int] = (),
-    look: Look = SCREEN,
-) -> Figure:
-    """Latent states over time, with the measured outputs that they follow above them.
-
-    Args:
-        time: instants (K,).
-        states: x(k) (K, n).
-        measured: outputs (K, m), physical units.
-        outputs: names and units.
-        time_unit: unit of `time`.
-        title: of the figure.
-        breaks: samples at which another record begins.
-        look: size of the figure.
-    """
-    with plt.rc_context(look.style):
-        n, m = states.shape[1], measured.shape[1]
-        figure, panels = plt.subplots(
-            n + m, 1, figsize=(look.width or 7.2, 0.9 + 1.05 * (n + m)), sharex=True, squeeze=False,
-            layout="constrained",
-        )  # fmt: skip
-        for i in range(m):
-            draw_line(panels[i, 0], time, measured[:, i], is_dense(measured[:, i]), color="black", linewidth=0.9)
-            panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize="small")
-        for i in range(n):
-            dense = is_dense(states[:, i])
-            draw_line(panels[m + i, 0], time, states[:, i], dense, color=style_of("nnss").colour, linewidth=0.9)
-            panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
-        for panel in panels[:, 0]:
-            _mark_breaks(panel, time, breaks)
-            panel.margins(x=0.01)
-            panel.yaxis.set_major_locator(MaxNLocator(3))
-        figure.align_ylabels()
-        panels[-1, 0].set_xlabel(f"time [{time_unit}]")
-        figure.suptitle(_wrapped(title, look.width or 7.2), fontsize="large")
-    return figure
+def few_log_ticks(axis: Any, most: int = 6) -> None:
+    """Plain numbers on a logarithmic axis, with its limits as they are now; it may span less than a decade."""
+    low, high = axis.axes.get_ylim() if axis.axis_name == "y" else axis.axes.get_xlim()
+    axis.set_major_locator(FixedLocator(log_ticks(low, high, most)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())
 
 
 def draw_orders(
@@ -337,6 +164,7 @@ def draw_orders(
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
         left.bar(orders, hankel, color="0.55", edgecolor="black", width=0.7)
         left.set_yscale("log")
+        few_log_ticks(left.yaxis)
         left.set_ylabel("Hankel singular value, relative [–]")
         curves = ((train, "training", "s", (0, (4, 2)), "0.45"), (val, "validation", "o", "-", "#0072B2"))
         for errors, label, marker, line, colour in curves:

@@ -15,21 +15,25 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from nnss_cli.datasets.units import NO_UNIT, unit_in
 from nnss_cli.experiment.inspection_result import Delay, Inspection
-from nnss_cli.report.style import STYLE, Axis
+from nnss_cli.report.figures import few_log_ticks
+from nnss_cli.report.style import STYLE, TICK_STEPS, Axis
 from nnss_cli.report.tables import number
 
 SHOWN = 6  # channels of each role, and inputs and outputs of the responses, that the figure has room for
-# Okabe–Ito colours with lines of their own, so that they stay apart in grey
+# Okabe–Ito colours, then some of Paul Tol's, with lines of their own, so that they stay apart in grey: `SHOWN` each
 LOOKS = (
     ("#000000", "-"), ("#D55E00", (0, (6, 2))), ("#0072B2", (0, (1, 1))), ("#009E73", (0, (4, 1, 1, 1))),
-    ("#CC79A7", (0, (8, 1))), ("#E69F00", (0, (3, 1, 1, 1, 1, 1))),
+    ("#CC79A7", (0, (8, 1))), ("#E69F00", (0, (3, 1, 1, 1, 1, 1))), ("#882255", (0, (9, 2, 2, 2))),
+    ("#56B4E9", (0, (2, 2))), ("#332288", (0, (2, 1, 5, 1))), ("#999933", (0, (5, 1, 1, 1, 1, 1, 1, 1))),
+    ("#AA4499", (0, (1, 3))), ("#666666", (0, (12, 3))),
 )  # fmt: skip
 
 
 def percent(share: float | None, digits: int = 3) -> str:
     """A share in percent; "–" for nothing."""
-    return "–" if share is None else f"{100 * share:.{digits}g} %"
+    return "–" if share is None else f"{number(100 * share, digits)} %"
 
 
 def channel_rows(found: Inspection) -> list[dict[str, str]]:
@@ -140,7 +144,7 @@ def draw_inspection(found: Inspection, title: str) -> Figure:
         title: of the figure.
     """
     shown = [c for role in ("input", "output") for c in [c for c in found.channels if c.role == role][:SHOWN]]
-    looks = {c.name: LOOKS[i % len(LOOKS)] for i, c in enumerate(shown)}
+    looks = {c.name: look for c, look in zip(shown, LOOKS, strict=False)}
     inputs = list(dict.fromkeys(d.input for d in found.delays))[:SHOWN]
     outputs = list(dict.fromkeys(d.output for d in found.delays))[:SHOWN]
     frequency = bool(found.spectrum) and any(c.name in looks for c in shown)
@@ -168,7 +172,9 @@ def _text(name: str, width: int, lines: int = 2) -> str:
 
 
 def _label(name: str, unit: str, width: int = 18) -> str:
-    """Name and unit for an axis; the name is cut before the unit is lost."""
+    """Name and unit for an axis, the unit once; the name is cut before the unit is lost."""
+    if unit_in(name) == unit != NO_UNIT:
+        name = name[: max(name.rfind("["), name.rfind("("))].strip()
     return "\n".join(filter(None, (_text(name, width), _text(str(Axis("", unit)).strip(), width, 1))))
 
 
@@ -189,7 +195,7 @@ def _draw_time(block: Any, found: Inspection, shown: Sequence[Any], looks: dict[
             panel.fill_between(curve.time, low, high, color=colour, linewidth=0.6)
         unit = channel.unit if not power else f"1e{power} {channel.unit}"
         panel.set_ylabel(_label(channel.name, unit), fontsize=7, rotation=0, ha="right", va="center")
-        panel.yaxis.set_major_locator(MaxNLocator(3))
+        panel.yaxis.set_major_locator(MaxNLocator(3, steps=TICK_STEPS))
         panel.tick_params(labelsize=8)
         panel.margins(x=0.01)
     starts = np.cumsum((0, *found.samples))[1:-1] * (found.clock.Ts or 1.0)
@@ -217,8 +223,12 @@ def _draw_frequency(block: Any, found: Inspection, looks: dict[str, Any]) -> Non
             right.plot(f, each.coherence, color=colour, linestyle=line, linewidth=1.1, label=label)
     right.set_ylim(-0.03, 1.03)
     right.set_ylabel("multiple coherence [–]")
+    if left.lines:
+        few_log_ticks(left.yaxis)
     for panel in (left, right):
         panel.set_xscale("log")
+        if panel.lines:
+            few_log_ticks(panel.xaxis, 5)
         panel.set_xlabel(f"frequency [{unit}]")
         if panel.lines:
             panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=7, handlelength=3.5)
@@ -245,7 +255,7 @@ def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], output
                 panel.axvline(delay.samples, color="#D55E00", linestyle="--", linewidth=1)
             said = f"delay: {_said(delay)}"
             panel.set_title(f"{_text(name, 30)}\n{said}" if i == 0 else said, fontsize=8)
-            panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+            panel.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=TICK_STEPS))
             panel.tick_params(labelsize=8)
         panels[i, 0].set_ylabel(_label(output, "–"), fontsize=7, rotation=0, ha="right", va="center")
     for panel in panels[-1]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from nnss_cli.experiment.collection import Entry
 from nnss_cli.experiment.comparison import Difference
+from nnss_cli.experiment.estimate import is_combined
 from nnss_cli.report.aggregate import scored_splits, shown_error
 from nnss_cli.report.cells import Cell, whole
 from nnss_cli.report.statistics import quantile
@@ -50,7 +51,8 @@ def run_rows(entry: Entry) -> list[dict[str, str]]:
     if result is None:
         return [{"": "status", "found": "damaged"}, {"": "reason", "found": entry.fault}]
     rows = {
-        "status": result.status, "reason": result.reason, "fit [s]": f"{result.fit_seconds:g}",
+        "status": result.status, "reason": result.reason,
+        "fit [s]": f"{result.fit_seconds:g}{', with its members' * is_combined(result.spec)}",
         "epochs": str(result.epochs), "data": result.spec.data, "method's version": result.spec.version,
         **result.provenance, **{name: str(value) for name, value in result.spec.settings.items()},
         "notes": " ".join(result.notes), "remarks": " ".join(result.remarks), "folder": str(entry.folder),

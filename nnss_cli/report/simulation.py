@@ -13,9 +13,9 @@ from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.figures import draw_line
 from nnss_cli.report.style import MEASURED, STYLE, style_of
 from nnss_cli.report.tables import number, percent
+from nnss_cli.report.timeplots import ENVELOPE, draw_line
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:
@@ -61,7 +61,7 @@ def draw_simulated(
                 draw_line(panel, time, measured[:, i], dense, label="measured", **MEASURED)
                 residual = panels[rows * i + 1, 0]
                 error = measured[:, i] - y[:, i]
-                draw_line(residual, time, error, dense, color=look.colour, linewidth=0.8)
+                draw_line(residual, time, error, dense, True, color=look.colour, linewidth=0.8)
                 residual.axhline(0, color="0.3", linewidth=0.6)
                 unit = channels.output_units[i]
                 residual.set_ylabel("residual" if unit in ("", "–") else f"residual\n[{unit}]")
@@ -75,8 +75,12 @@ def draw_simulated(
             panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
         for i in range(r):
             panel = panels[rows * m + i, 0]
-            draw_line(panel, time, u[:, i], is_dense(u[:, i]), color="0.35", linewidth=0.9, drawstyle="steps-post")
+            draw_line(
+                panel, time, u[:, i], is_dense(u[:, i]), True, color="0.35", linewidth=0.9, drawstyle="steps-post"
+            )
             panel.set_ylabel(textwrap.fill(titled(channels.inputs[i], channels.input_units[i]), 14))
+        if any(is_dense(signal) for signal in (*y.T, *u.T)):
+            panels[0, 0].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:
             panel.margins(x=0.01)
         panels[-1, 0].set_xlabel("time [s]")

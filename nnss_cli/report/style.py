@@ -88,6 +88,10 @@ WIDTHS = {1: 3.5, 2: 7.16}
 """Columns of a paper → width [inch]."""
 
 
+PAGE = 9.2
+"""Height of a page's text [inch]."""
+
+
 @dataclass(frozen=True)
 class Look:
     """What figures are written as."""
@@ -114,6 +118,10 @@ class Look:
         """Of a figure [inch]; None for what a screen has room for."""
         return None if self.columns is None else WIDTHS[self.columns]
 
+    def height(self, wanted: float) -> float:
+        """Of a figure [inch]: what it asks for, on paper no more than a page has."""
+        return wanted if self.columns is None else min(wanted, PAGE)
+
     @property
     def style(self) -> Any:
         """`STYLE` with letters for that width: 8 pt across a page, 7 pt in a column, as papers ask."""
@@ -122,6 +130,10 @@ class Look:
 
 SCREEN = Look()
 """Figures for a screen, in the usual formats."""
+
+
+TICK_STEPS = [1, 2, 2.5, 5, 10]
+"""Steps between the numbers of a linear axis."""
 
 
 def legend_columns(entries: int, most: int) -> int:

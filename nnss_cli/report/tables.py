@@ -116,7 +116,7 @@ def options_apart(results: Sequence[RunResult]) -> list[str]:
         for name in names:
             orders: dict[str, list[str]] = {}
             for order in sorted(settings):
-                orders.setdefault(_option(settings[order].get(name)), []).append(str(order))
+                orders.setdefault(option(settings[order].get(name)), []).append(str(order))
             if len(orders) > 1:
                 values = (f"{value} at order {', '.join(own)}" for value, own in orders.items())
                 told.append(f"{name} {'; '.join(values)}")
@@ -125,7 +125,8 @@ def options_apart(results: Sequence[RunResult]) -> list[str]:
     return lines
 
 
-def _option(value: object) -> str:
+def option(value: object) -> str:
+    """An option's value as text."""
     return " ".join(map(str, value)) if isinstance(value, list | tuple) else str("–" if value is None else value)
 
 
@@ -322,7 +323,8 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
                     row[split] += f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})"
             if any(v.unbounded is not None for v in variants):
                 unbounded = sum(r.spec.order == order for r in variant.unbounded or ())
-                row["unbounded under stress"] = f"{unbounded} of {len(ok)}"
+                unknown = variant.unbounded is None and ok  # `nnss ablate` tries what was not tried
+                row["unbounded under stress"] = "–" if unknown else f"{unbounded} of {len(ok)}"
             rows.append(row)
     return rows
 

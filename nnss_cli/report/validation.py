@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels
 from nnss_cli.datasets.units import titled
+from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.style import STYLE, style_of
 from nnss_cli.report.tables import number
@@ -196,6 +197,7 @@ def _draw_residuals(block: Any, found: Validation, each: OutputCheck, driver: in
     right.set_xticks(steps.horizons, [str(h) for h in steps.horizons])
     right.minorticks_off()
     right.set_yscale("log")
+    few_log_ticks(right.yaxis)
     right.set_xlabel("steps ahead")
     right.set_ylabel(f"RMSE {'' if each.unit == '–' else f'[{each.unit}]'}".strip())
     right.legend(fontsize=7)
@@ -238,22 +240,32 @@ def _draw_profile(panel: Any, part: Profile | None, name: str, each: OutputCheck
     panel.set_title(f"{100 * part.share:.1f} % of the variance, 99 % bands", fontsize=8)
 
 
+def _factor(unit: str) -> str:
+    """A unit as a part of a quotient."""
+    return unit if unit.isalpha() or unit in ("%", "°C") else f"({unit})"
+
+
 def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
     left, right = block.subplots(1, 2)
-    unit = found.channels.output_units[i]
+    unit, of = found.channels.output_units[i], found.channels.input_units[driver]
+    single = f" {of}" * (len(found.channels.inputs) == 1 and of not in ("", "–"))
     for point, (colour, line) in zip(found.linear.points, LOOKS, strict=False):
-        at = f"u = {', '.join(number(value, 3) for value in point.u[:3])}{', …' * (len(point.u) > 3)}"
+        at = f"u = {', '.join(number(value, 3) for value in point.u[:3])}{', …' * (len(point.u) > 3)}{single}"
         left.plot(
             np.arange(len(point.step)) * found.linear.Ts, point.step[:, i, driver], color=colour, linestyle=line,
             drawstyle="steps-post", label=at,
         )  # fmt: skip
         right.plot(found.linear.frequency, point.magnitude[:, i, driver], color=colour, linestyle=line, label=at)
     left.set_xlabel("time [s]")
-    left.set_ylabel(f"unit step response {'' if unit == '–' else f'[{unit}]'}".strip())
+    step = "unit step response" if of in ("", "–") else f"response to a step of 1 {of}"
+    left.set_ylabel(titled(step, unit))
     left.set_title("linearised at equilibria", fontsize=8)
     right.set_xscale("log")
     right.set_yscale("log")
     right.set_xlabel("frequency [Hz]")
-    right.set_ylabel("magnitude")
+    right.set_ylabel("magnitude" if {"", "–"} & {unit, of} else f"magnitude [{_factor(unit)}/{_factor(of)}]")
+    if right.lines:
+        few_log_ticks(right.xaxis)
+        few_log_ticks(right.yaxis)
     if found.linear.points:
         left.legend(fontsize=7)

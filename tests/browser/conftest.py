@@ -50,11 +50,14 @@ def axe() -> str:
 @pytest.fixture(scope="session")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with three records, several outputs, a dense record, runs without a result, and its page."""
+    from nnss_cli.experiment.ablation import STUDIES, variant_store
     from nnss_cli.report.html.page import write_html
 
     out = tmp_path_factory.mktemp("page") / "results"
     methods = ("nnss", "nnss-ensemble", "simba", "n4sid", "ssest")
-    make_runs(out, "plant", methods, seeds=3)
+    plant = make_runs(out, "plant", methods, seeds=3)
+    for number, name in enumerate(STUDIES["recipe"]):
+        make_runs(variant_store(plant, "recipe", name).out, "plant", ("nnss",), seeds=3, K=150 + 10 * number)
     make_runs(out, "dense", ("nnss", "n4sid"), orders=(3,), seeds=1, K=20_000)
     make_runs(out, "two", ("nnss", "n4sid"), orders=(2,), seeds=2, outputs=2, protocol="paper")
     write_html(out)

@@ -89,6 +89,23 @@ def test_filters_hide_rows_lines_and_boxes(results: Path, visit: Callable) -> No
     assert other.locator("table.errors tbody tr:visible").count() == 2
 
 
+def test_the_table_of_a_study_sorts_by_its_medians(results: Path, visit: Callable) -> None:
+    page = visit(results / "report.html").page
+    table = page.get_by_role("group", name=re.compile("One switch at a time"))
+    assert table.locator("tbody tr").count() == 2 * 10  # orders and variants
+    head = table.locator("thead th", has_text=re.compile("^test"))
+    column = head.evaluate("(cell) => cell.cellIndex + 1")
+
+    def medians() -> list[float]:
+        found = table.locator(f"tbody tr td:nth-child({column})").all_inner_texts()
+        return [float(text.split()[0]) for text in found]
+
+    assert medians() != sorted(medians())
+    head.get_by_role("button").click()
+    assert head.get_attribute("aria-sort") == "ascending"
+    assert medians() == sorted(medians())
+
+
 def test_tables_sort_by_any_column(results: Path, visit: Callable) -> None:
     page = visit(results / "report.html").page
     table = page.locator("section.record", has_text="plant, protocol strict").locator("table.errors")

@@ -168,8 +168,11 @@ def test_folders_are_compared_run_by_run(nnss: Callable) -> None:
     error = found["n4sid-n2-s0", "RMSE test y1"]
     assert error["change"] == pytest.approx(error["B"] / error["A"] - 1)
     assert error["change"] != 0
-    assert end["different"] == 2
-    assert end["equal"] == 1
+    assert {name: end[name] for name in ("equal", "different", "only_in_A", "only_in_B")} == {
+        "equal": 1, "different": 1, "only_in_A": 1, "only_in_B": 0,
+    }  # fmt: skip
+    turned = nnss("results", "diff", "other", "results")
+    assert turned.out.splitlines()[-1] == "1 runs equal, 1 different, 1 only in B"
     assert any("n4sid-n1-s0" in line for line in end["left_out"])
     assert nnss("results", "diff", "results", "nowhere").code == 2
     assert "no runs under 'nowhere'" in nnss("results", "diff", "results", "nowhere").err

@@ -18,11 +18,10 @@ from nnss_cli.report.figures import (
     draw_boxplot,
     draw_orders,
     draw_ranks,
-    draw_simulation,
-    draw_states,
     save_figure,
 )
 from nnss_cli.report.style import STYLES, Axis, style_of
+from nnss_cli.report.timeplots import draw_simulation, draw_states
 
 
 @pytest.fixture
@@ -173,7 +172,7 @@ def test_a_logarithmic_axis_has_a_few_plain_numbers(
     panel = figure.subplots()
     panel.set_yscale("log")
     panel.set_ylim(low, high)
-    figures._few_log_ticks(panel)
+    figures.few_log_ticks(panel.yaxis)
     figure.canvas.draw()
     shown = [tick for tick in panel.get_yticks() if low <= tick <= high]
     assert shown == pytest.approx(ticks)

@@ -12,6 +12,7 @@ from nnss_cli.report.html.looks import looks_of
 from nnss_cli.report.html.pictures import HEIGHT, TOP, draw_boxes, draw_curves
 from nnss_cli.report.html.svg import Axis, axis_of, few, path, tag
 from nnss_cli.report.html.trace import KEPT, STEPS, Panel, Series, draw_trace
+from nnss_cli.report.style import log_ticks
 
 LOOKS = looks_of(["nnss", "n4sid"])
 
@@ -46,6 +47,14 @@ def test_every_axis_has_two_ticks_or_more(low: float, decades: float, logarithmi
 
 def test_the_axis_that_had_one_tick_has_more() -> None:
     assert [tick.label for tick in axis_of([95.0, 195.0], True).ticks()] == ["100", "150", "200"]
+
+
+@given(st.floats(1e-9, 1e6), st.floats(1.06, 1e9))
+def test_page_and_figures_have_one_rule_for_logarithmic_ticks(low: float, factor: float) -> None:
+    high = low * factor
+    assert [tick.label for tick in Axis(low, high, True).ticks()] == [
+        f"{value:.6g}" for value in log_ticks(low, high) if low <= value <= high
+    ]
 
 
 def test_axes_of_nothing_of_one_value_and_of_what_is_not_finite() -> None:

@@ -83,6 +83,30 @@ def test_labels_carry_units_and_lines_differ_in_grey() -> None:
     close_figure(figure)
 
 
+def test_twelve_channels_are_apart_in_colour_and_line() -> None:
+    figure = report.draw_inspection(record(8, 7), "x")
+    (spectra,) = (axes for axes in figure.findobj(lambda a: hasattr(a, "get_ylabel")) if "density" in axes.get_ylabel())
+    assert len(spectra.lines) == 12
+    assert len({line.get_color() for line in spectra.lines}) == 12
+    assert len({(line.get_linestyle(), str(line._dash_pattern)) for line in spectra.lines}) == 12
+    close_figure(figure)
+
+
+@pytest.mark.parametrize("Ts", [0.1, 1228.0, 1e-5])
+def test_logarithmic_axes_have_plain_numbers_that_do_not_touch(Ts: float) -> None:
+    """Labels such as 3 × 10⁻⁴ and 4 × 10⁻⁴ ran into each other where a short record spans less than a decade."""
+    u = np.random.default_rng(0).standard_normal(200)
+    y = lfilter([0, 1.0], [1, -0.8], u)
+    figure = report.draw_inspection(examine({"u [V]": u}, {"y": y}, Ts, units={"u [V]": "V"}), "x")
+    found = list(texts(figure))
+    assert not any("times" in text or "^{" in text for text, _ in found)
+    for (one, a), (two, b) in combinations(found, 2):
+        shared = Bbox.intersection(a, b)
+        assert shared is None or min(shared.width, shared.height) < 1, (one, two)
+    assert "u\n[V]" in [text for text, _ in found]  # the unit once
+    close_figure(figure)
+
+
 def test_equal_records_give_equal_files(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         save_figure(report.draw_inspection(record(1, 1), "x"), tmp_path / name)

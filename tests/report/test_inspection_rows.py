@@ -96,6 +96,7 @@ def test_the_record_is_tabled_as_a_whole() -> None:
 
 def test_a_share_is_in_percent_with_three_digits() -> None:
     assert [report.percent(share) for share in (0.123456, 1.0, 0.0, None)] == ["12.3 %", "100 %", "0 %", "–"]
+    assert report.percent(0.998, 2) == "100 %"
 
 
 @pytest.fixture

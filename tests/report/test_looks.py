@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import InputError
 from nnss_cli.report import figures
-from nnss_cli.report.build import _boxplot, transient
+from nnss_cli.report.comparison import _boxplot, transient
 from nnss_cli.report.dense import BINS, PIXELS, envelope, is_dense, thinned
+from nnss_cli.report.simulation import draw_simulated
 from nnss_cli.report.style import MEASURED, MORE, STYLES, Axis, Look, legend_columns, log_ticks, styles_of
+from nnss_cli.report.timeplots import draw_simulation, draw_states
 
 
 @given(st.floats(1e-9, 1e6), st.floats(1.001, 1e9))
@@ -87,7 +90,7 @@ def test_an_envelope_keeps_every_extreme() -> None:
 def test_a_simulation_shows_residuals_and_inputs_and_names_the_zooms_axis() -> None:
     t = np.arange(400.0)
     y, u = np.sin(t / 20)[:, None], np.cos(t / 20)
-    figure = figures.draw_simulation(
+    figure = draw_simulation(
         t, y, {"nnss": ("", y + 0.25)}, [Axis("level", "m")], "s", "x", slice(100, 150), (),
         [(Axis("pump", "V"), u)], True,
     )  # fmt: skip
@@ -106,7 +109,7 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     y = np.sin(t / 2)[:, None]
     part = transient(y)
     assert part.stop - part.start == 160
-    figure = figures.draw_simulation(t, y, {"nnss": ("", y + 0.5)}, [Axis("y", "–")], "s", "x", part, residuals=True)
+    figure = draw_simulation(t, y, {"nnss": ("", y + 0.5)}, [Axis("y", "–")], "s", "x", part, residuals=True)
     (whole, zoom), (residual, differences) = np.array(figure.axes).reshape(2, 2)
     np.testing.assert_allclose(residual.lines[0].get_ydata(), np.full(BINS // 3, 0.5))  # root mean squares
     assert residual.get_ylabel() == "residual, rms"
@@ -118,11 +121,104 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     figures.close_figure(figure)
 
 
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_in_one_column_the_zoom_stands_below_with_all_its_panels(outputs: int) -> None:
+    t = np.arange(400.0)
+    y = np.stack([np.sin(t / 20 + i) for i in range(outputs)], axis=1)
+    axes, part = [Axis(f"y{i}", "m") for i in range(outputs)], slice(100, 150)
+    figure = draw_simulation(
+        t, y, {"nnss": ("", y + 0.25)}, axes, "s", "x", part, (), [(Axis("pump", "V"), t)], True, Look((), 1)
+    )  # fmt: skip
+    rows = 2 * outputs + 1
+    whole, zoom = np.array(figure.axes).reshape(2, rows)
+    for i in range(outputs):
+        for panel, shown in ((whole[2 * i], t), (zoom[2 * i], t[part])):
+            np.testing.assert_array_equal(panel.lines[0].get_xdata(), shown)
+            assert panel.get_ylabel() == f"y{i} [m]"
+        np.testing.assert_allclose(zoom[2 * i + 1].lines[0].get_ydata(), np.full(50, -0.25))
+        (marked,) = whole[2 * i].patches  # where the part is
+        assert (marked.get_x(), marked.get_width()) == (100, 49)
+    assert [panel.get_xlabel() for panel in figure.axes] == ([""] * (rows - 1) + ["time [s]"]) * 2
+    assert (whole[0].get_title(loc="left"), zoom[0].get_title(loc="left")) == ("", "a part of it")
+    figure.canvas.draw()
+    lengths = [{tuple(panel.get_xlim()) for panel in block} for block in (whole, zoom)]
+    assert [len(block) for block in lengths] == [1, 1]
+    assert lengths[0] != lengths[1]
+    tops = [panel.get_position().y0 for panel in figure.axes]
+    assert tops == sorted(tops, reverse=True)
+    width, height = figure.get_size_inches()
+    assert width == 3.5
+    assert height <= 9.2  # of a page's text
+    figures.close_figure(figure)
+
+
+def test_a_simulation_that_goes_far_away_does_not_hide_the_others() -> None:
+    t = np.arange(400.0)
+    y = np.sin(t / 20)[:, None]  # from −1 to 1: three more on either side are shown
+    simulated = {"nnss": ("", y + 2.5), "n4sid": ("", y - t[:, None]), "ssest": ("", y + 4.5)}
+    figure = draw_simulation(t, y, simulated, [Axis("level", "m")], "s", "x", residuals=True)
+    panel, residual = figure.axes
+    assert panel.get_title(loc="right") == "leaving the panel: N4SID, SSEST"
+    assert panel.get_ylim() == pytest.approx((-4.4, 4.4), abs=0.01)
+    low, high = residual.get_ylim()
+    assert -5.5 < low < -4  # of what stays in view
+    assert 4 < high < 5.6
+    figures.close_figure(figure)
+    del simulated["n4sid"], simulated["ssest"]
+    figure = draw_simulation(t, y, simulated, [Axis("level", "m")], "s", "x", residuals=True)
+    assert figure.axes[0].get_title(loc="right") == ""
+    figures.close_figure(figure)
+
+
+def test_a_dense_signal_alone_is_one_filled_band_and_said_to_be_an_envelope() -> None:
+    """Two edges of one colour looked like two signals."""
+    t = np.arange(20_000.0)
+    y, x = np.sin(t / 2)[:, None], np.stack([np.sin(t / 2), t], axis=1)
+    figure = draw_states(t, x, y, [Axis("y", "–")], "s", "x")
+    assert [(len(panel.collections), len(panel.lines)) for panel in figure.axes] == [(1, 0), (1, 0), (0, 1)]
+    assert [panel.get_title(loc="left") for panel in figure.axes] == ["envelope: least and largest values", "", ""]
+    figures.close_figure(figure)
+
+
+def test_what_is_simulated_of_a_dense_file_is_said_to_be_an_envelope() -> None:
+    t = np.arange(8000.0)
+    dense, plain = np.sin(t / 2)[:, None], np.zeros((8000, 1))
+    channels = Channels(("u",), ("y",), ("V",), ("m",))
+    for u, y, said in ((plain, dense, "envelope: least and largest values"), (plain, plain, "")):
+        figure = draw_simulated(t, u, 1.1 * y, y, channels, "a model")
+        assert figure.axes[0].get_title(loc="left") == said
+        assert len(figure.axes[1].collections) == bool(said)  # the residual: one band
+        figures.close_figure(figure)
+
+
+def test_linear_axes_have_round_numbers() -> None:
+    t = np.arange(300.0) * 0.1 + 30
+    figure = draw_simulation(
+        t, 6.4 * np.sin(t)[:, None], {}, [Axis("y", "–")], "s", "x", slice(0, 100), look=Look((), 1)
+    )
+    figure.canvas.draw()
+    assert {"30", "35"} <= {label.get_text() for label in figure.axes[1].get_xticklabels()}
+    assert {"−5", "0", "5"} <= {label.get_text() for label in figure.axes[0].get_yticklabels()}
+    figures.close_figure(figure)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_no_figure_for_a_paper_is_higher_than_its_page(columns: int) -> None:
+    t, y = np.arange(50.0), np.zeros((50, 4))
+    panels = {f"y{i}": {"nnss": {2: [1.0, 2.0]}} for i in range(16)}
+    for drawn in (
+        figures.draw_boxplot(panels, dict.fromkeys(panels, "RMSE"), "x", look=Look((), columns)),
+        draw_states(t, np.zeros((50, 9)), y, [Axis(f"y{i}", "–") for i in range(4)], "s", "x", look=Look((), columns)),
+    ):
+        assert drawn.get_figheight() == 9.2
+        figures.close_figure(drawn)
+
+
 def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_few_instants() -> None:
     t = np.arange(20_000.0) / 50_000 + 1.3675
     y, u = np.linspace(0, 1, len(t))[:, None], np.sin(np.arange(len(t)) / 2)
     part = slice(9000, 9160)
-    figure = figures.draw_simulation(
+    figure = draw_simulation(
         t, y, {"nnss": ("", y)}, [Axis("y", "–")], "s", "x", part, (), [(Axis("u", "–"), u)], residuals=True
     )
     panels = np.array(figure.axes).reshape(3, 2)

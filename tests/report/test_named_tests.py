@@ -12,8 +12,9 @@ from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.run import RunSpec
 from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS
-from nnss_cli.report.build import write_comparison, write_report
+from nnss_cli.report.build import write_report
 from nnss_cli.report.cells import plain
+from nnss_cli.report.comparison import write_comparison
 from nnss_cli.report.standing import effects
 from nnss_cli.report.tables import error_tables
 

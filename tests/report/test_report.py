@@ -14,7 +14,8 @@ from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
 from nnss_cli.methods import METHODS
 from nnss_cli.report.aggregate import COLUMNS, best_run, long_table, released_table, summary
-from nnss_cli.report.build import _boxplot, joined, record_lengths, transient, write_comparison, write_report
+from nnss_cli.report.build import write_report
+from nnss_cli.report.comparison import _boxplot, joined, record_lengths, transient, write_comparison
 from nnss_cli.report.evidence import intervals, not_the_papers, optimism, paper_comparison, released_comparison
 from nnss_cli.report.figures import close_figure
 from nnss_cli.report.tables import rmse_markdown, terminal_rows, terminal_title

@@ -31,7 +31,7 @@ from nnss_cli.report.aggregate import (
     summary,
     validation_error,
 )
-from nnss_cli.report.build import _boxplot, record_lengths, starts, transient
+from nnss_cli.report.comparison import _boxplot, record_lengths, starts, transient
 from nnss_cli.report.evidence import intervals, optimism
 from nnss_cli.report.figures import close_figure
 from nnss_cli.report.listing import group_rows, run_rows

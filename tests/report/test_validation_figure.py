@@ -214,6 +214,15 @@ def test_profiles_show_the_driving_input_and_the_state_that_explains_most(page: 
     assert page(replace(FOUND, outputs=(FOUND.outputs[0], empty)))[6].get_title() == "it does not vary"
 
 
+def test_the_pages_logarithmic_axes_have_plain_numbers(page: Any) -> None:
+    panels = page()
+    for axis in (panels[5].yaxis, panels[10].xaxis, panels[10].yaxis):
+        assert axis.axes.get_figure() is not None
+        labels = [label.get_text() for label in axis.get_ticklabels()]
+        assert len(labels) >= 2
+        assert all(float(label) > 0 for label in labels)
+
+
 def test_linearisations_are_of_the_drawn_output_and_input(page: Any) -> None:
     step, magnitude = page()[9:]
     for i, at in enumerate((0, 10)):
@@ -225,6 +234,11 @@ def test_linearisations_are_of_the_drawn_output_and_input(page: Any) -> None:
     assert len({line.get_color() for line in step.lines}) == 2
     assert (step.get_xlabel(), step.get_ylabel()) == ("time [s]", "unit step response")
     assert (magnitude.get_xlabel(), magnitude.get_xscale(), magnitude.get_yscale()) == ("frequency [Hz]", "log", "log")
+    one = replace(FOUND.outputs[0], rmse=1.01)  # of x [m], which depends most on a [V]
+    step, magnitude = page(replace(FOUND, outputs=(one, FOUND.outputs[1])))[9:]
+    assert (step.get_ylabel(), magnitude.get_ylabel()) == ("response to a step of 1 V [m]", "magnitude [m/V]")
+    flow = replace(FOUND, channels=replace(FOUND.channels, output_units=("m³/s", "–")))
+    assert page(replace(flow, outputs=(one, FOUND.outputs[1])))[10].get_ylabel() == "magnitude [(m³/s)/V]"
     many = replace(FOUND.linear, points=(point((1.23456, 2, 3, 4), 0), point((1, 2, 3), 0)))
     assert entries(page(replace(FOUND, linear=many))[9]) == ["u = 1.23, 2, 3, …", "u = 1, 2, 3"]
     assert page(replace(FOUND, linear=replace(FOUND.linear, points=())))[9].get_legend() is None

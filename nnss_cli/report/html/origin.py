@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nnss_cli.experiment.estimate import is_combined
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.report.aggregate import groups, methods_of, runs_by_method
 from nnss_cli.report.statistics import quantile
@@ -84,7 +85,8 @@ def _costs(results: Sequence[RunResult]) -> list[dict[str, str]]:
         memory = [float(text) for r in own if _is_number(text := r.provenance.get("peak memory [MB]", ""))]
         rows.append(
             {
-                "order": str(order), "method": method, "runs": str(len(own)),
+                "order": str(order), "method": method + ", with its members" * any(is_combined(r.spec) for r in own),
+                "runs": str(len(own)),
                 "fit, median [s]": number(quantile(seconds, 0.5), 3), "longest [s]": number(max(seconds), 3),
                 "together [s]": number(sum(seconds), 4),
                 "epochs, median": number(quantile([float(r.epochs) for r in own], 0.5)),

@@ -25,6 +25,7 @@ from nnss_cli.report.html.pictures import glyph, key, symbols
 from nnss_cli.report.html.record import COLUMNS, LARGEST, section_of
 from nnss_cli.report.standing import MEANING, missing_runs, pair_rows, record_table, too_few, unscored
 from nnss_cli.report.statistics import LEVEL, MIN_RECORDS, mean_ranks, paired_tests
+from nnss_cli.report.studies import CHANGES
 from nnss_cli.report.tables import number
 from nnss_cli.version import __version__
 
@@ -89,6 +90,7 @@ def render(found: dict[Store, Table]) -> str:
             for index, (store, table) in enumerate(sorted(found.items(), key=lambda one: one[0].protocol))
         ],
         runs=len(everything), failed=sum(result.status != "ok" for result in everything), largest=LARGEST,
+        changes_note=CHANGES.replace("`", ""),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.experiment.ablation import studies
 from nnss_cli.experiment.agreement import Table
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
@@ -33,7 +34,8 @@ from nnss_cli.report.html.signals import simulation_traces, state_trace
 from nnss_cli.report.html.trace import Trace
 from nnss_cli.report.published import place_tables, published_tables
 from nnss_cli.report.statistics import median_interval, quantile
-from nnss_cli.report.tables import failures, number, output_names, remarks, versions_apart
+from nnss_cli.report.studies import changes, study_note
+from nnss_cli.report.tables import failures, number, output_names, remarks, study_rows, versions_apart
 
 LARGEST = 1e308
 """What ∞ sorts as: the script reads finite numbers."""
@@ -89,6 +91,20 @@ class Reference:
 
 
 @dataclass(frozen=True)
+class Study:
+    """A study of NN-SS, one switch at a time."""
+
+    name: str
+    """recipe, class or stability."""
+    note: str
+    """What its table shows."""
+    rows: list[dict[str, str]]
+    """By order and variant; cells by the title of their column."""
+    changes: list[str]
+    """What each variant changes."""
+
+
+@dataclass(frozen=True)
 class Section:
     """Everything of one dataset and protocol."""
 
@@ -124,6 +140,8 @@ class Section:
     """What was tried before a model was chosen, by run."""
     certificates: list[dict[str, str]]
     """What is known of stability."""
+    studies: list[Study]
+    """What each switch of NN-SS is worth."""
     references: list[Reference]
     """Published numbers beside ours."""
     departures: list[str]
@@ -153,6 +171,7 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
         InputError: a run's file is damaged.
     """
     results = made_of.results
+    found = studies(store)
     entry = BENCHMARKS.usable(store.dataset)
     splits = splits_of(results)
     return Section(
@@ -161,10 +180,15 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
         [(name, split_name(name)) for name in splits], scored_splits(results),
         _rows(results, looks), _boxes(results, looks, anchor), simulation_traces(store, results, looks, anchor),
         state_trace(store, results, looks, anchor), curves_of(store, results, looks, anchor),
-        candidate_rows(store, results), certificate_table(store, results), _references(results),
+        candidate_rows(store, results), certificate_table(store, results),
+        [
+            Study(name, study_note(own), study_rows(own, intervals=True), changes(own))
+            for name, own in found.items()
+        ],
+        _references(results),
         not_the_papers(results), origin_of(results),
         [*dict.fromkeys(note for r in results for note in r.notes), *versions_apart(results)], failures(results),
-        remarks(results), made_of.left_out,
+        remarks(results), [*made_of.left_out, *(line for own in found.values() for v in own for line in v.left_out)],
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.modelfile import Tensors
 from nnss_cli.report.aggregate import best_by_method, scored_splits, split_name
-from nnss_cli.report.build import HOUR, joined, record_lengths, starts
+from nnss_cli.report.comparison import HOUR, joined, record_lengths, starts
 from nnss_cli.report.html.looks import Look
 from nnss_cli.report.html.trace import Panel, Series, Trace, draw_trace
 

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.report.dense import thinned
+from nnss_cli.report.style import TICK_STEPS, log_ticks
 
 GRID = 1000
 """Whole steps across a picture that is stretched to its frame."""
@@ -48,7 +49,7 @@ class Axis:
 
     def ticks(self, count: int = 5) -> list[Tick]:
         """Round values within the axis, two at least."""
-        values = _log_ticks(self.low, self.high, count) if self.logarithmic else _ticks(self.low, self.high, count)
+        values = log_ticks(self.low, self.high, count + 1) if self.logarithmic else _ticks(self.low, self.high, count)
         inside = [value for value in values if self.low <= value <= self.high]
         return [Tick(100 * float(self(value)), f"{value:.6g}") for value in inside]
 
@@ -68,16 +69,7 @@ def axis_of(values: Sequence[float] | FloatArray, logarithmic: bool = False, mar
 
 
 def _ticks(low: float, high: float, count: int) -> list[float]:
-    return [float(value) for value in MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)]
-
-
-def _log_ticks(low: float, high: float, count: int) -> list[float]:
-    """Powers of ten where there are enough of them, else their round multiples, else as on a linear axis."""
-    for subs in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
-        values = [float(v) for v in LogLocator(subs=subs, numticks=99).tick_values(low, high) if low <= v <= high]
-        if len(values) >= 3:
-            return values[:: math.ceil(len(values) / (count + 2))]
-    return _ticks(low, high, count)
+    return [float(value) for value in MaxNLocator(count, steps=TICK_STEPS).tick_values(low, high)]
 
 
 def tag(name: str, *children: Any, **attributes: Any) -> Markup:
