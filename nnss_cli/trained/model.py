@@ -93,6 +93,8 @@ class TrainedModel:
     def simulate(self, u: Any, y_init: Any = None, x0: Any = None) -> Simulation:
         """Free simulation: from first outputs, from a state, or at rest.
 
+        From first outputs, 5000 samples and more of an NN-SS model run in compiled code, equal up to rounding.
+
         Args:
             u: inputs (K, r), physical units; (K,) for one input; lists and pandas objects, too.
             y_init: first output samples (w, m), physical units, w ≤ K, which x(0) explains best. For one output (w,) or
@@ -110,10 +112,15 @@ class TrainedModel:
         if y_init is not None and x0 is not None:
             raise InputError("expected first outputs y_init or a state x0, found both: leave one out")
         if y_init is not None:
-            return self.model.simulate(inputs, self._first_outputs(y_init))
+            return self._free_run(inputs, self._first_outputs(y_init))
         z0 = equilibrium(self.system, inputs[0]).z if x0 is None else self._state("x0", x0)
         y, z = self.system.simulate(inputs, z0)
         return Simulation(y, z[:, : self.order])
+
+    def _free_run(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        from nnss_cli.trained.compiled import free_run  # numba, which opening a model does without
+
+        return free_run(self.model, u, y_init)
 
     def initial_state(self, u: Any, y_init: Any) -> FloatArray:
         """z(0) (N,) from which `simulate` starts: x(0) of every member, and the output before (see `nnss_cli.system`).

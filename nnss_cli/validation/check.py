@@ -15,12 +15,12 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
+from nnss_cli.trained.compiled import free_run
 from nnss_cli.validation.limit import linear_limits
 from nnss_cli.validation.linearisation import linearisations, pole_map
 from nnss_cli.validation.predictor import require_finite, step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
-from nnss_cli.validation.stepping import free_run
 from nnss_cli.validation.trained import Forecaster
 from nnss_cli.validation.verdict import stated, verdict
 

@@ -11,11 +11,12 @@ import numpy as np
 from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.trained import TrainedModel
+from nnss_cli.trained.compiled import free_run
 from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
 from nnss_cli.validation.predictor import Predictor, require_finite
-from nnss_cli.validation.stepping import free_run, steppers_of
+from nnss_cli.validation.stepping import steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
 

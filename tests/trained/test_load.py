@@ -13,7 +13,10 @@ import pytest
 
 import nnss_cli
 from nnss_cli.errors import InputError
-from nnss_cli.methods import load_model
+from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.store import Store
+from nnss_cli.experiment.sweep import plan
+from nnss_cli.methods import load_model, select
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import load
@@ -124,6 +127,22 @@ def test_older_folders_load(trained_folder: Callable[..., Path], tmp_path: Path)
     assert (bare.origin, bare.fingerprint, bare.order, bare.init_window) == (None, None, 2, 1)
     u = np.random.default_rng(0).standard_normal(9)
     np.testing.assert_array_equal(bare.simulate(u, 1.0).y, load(trained_folder()).simulate(u, 1.0).y)
+
+
+def test_equal_trainings_give_equal_folders(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
+    """To the byte, whenever and by whichever command; an earlier version's model, which kept its times, loads."""
+    dataset, folder = small_dataset(), trained_folder("nnss", **QUICK)
+    store = Store(tmp_path / "again", dataset.name, dataset.protocol)
+    (spec,) = plan(store, dataset, select(["nnss"]), [2], [0], QUICK, False).todo
+    execute(spec, dataset, store, command="another")
+    for name in ("model.json", "model.safetensors"):
+        assert (store.run_folder(spec) / name).read_bytes() == (folder / name).read_bytes()
+    training = json.loads((folder / "model.json").read_text())["training"]
+    times = {"seconds": "4.428", "started": "2026-11-26T09:35:06.487+00:00", "command": "nnss compare"}
+    training["provenance"] |= times
+    older = load(changed(folder, tmp_path, training=training)).origin
+    assert older is not None
+    assert times.items() <= older.provenance.items()
 
 
 @pytest.mark.parametrize(
