@@ -18,6 +18,7 @@ from nnss_cli.experiment.origin import Origin, read_origin
 from nnss_cli.experiment.store import records_of
 from nnss_cli.methods import Model, load_model
 from nnss_cli.system import System
+from nnss_cli.trained.compiled import free_run, free_run_from
 from nnss_cli.trained.linear import Equilibrium, Frozen, equilibrium, frozen, linearised, to_control
 from nnss_cli.trained.signals import as_samples, as_values
 
@@ -93,7 +94,8 @@ class TrainedModel:
     def simulate(self, u: Any, y_init: Any = None, x0: Any = None) -> Simulation:
         """Free simulation: from first outputs, from a state, or at rest.
 
-        From first outputs, 5000 samples and more of an NN-SS model run in compiled code, equal up to rounding.
+        An NN-SS model runs along 5000 samples and more in compiled code, equal up to rounding; so does an ensemble from
+        first outputs.
 
         Args:
             u: inputs (K, r), physical units; (K,) for one input; lists and pandas objects, too.
@@ -112,15 +114,13 @@ class TrainedModel:
         if y_init is not None and x0 is not None:
             raise InputError("expected first outputs y_init or a state x0, found both: leave one out")
         if y_init is not None:
-            return self._free_run(inputs, self._first_outputs(y_init))
+            return free_run(self.model, inputs, self._first_outputs(y_init))
         z0 = equilibrium(self.system, inputs[0]).z if x0 is None else self._state("x0", x0)
+        fast = free_run_from(self.model, inputs, z0)
+        if fast is not None:
+            return fast
         y, z = self.system.simulate(inputs, z0)
         return Simulation(y, z[:, : self.order])
-
-    def _free_run(self, u: FloatArray, y_init: FloatArray) -> Simulation:
-        from nnss_cli.trained.compiled import free_run  # numba, which opening a model does without
-
-        return free_run(self.model, u, y_init)
 
     def initial_state(self, u: Any, y_init: Any) -> FloatArray:
         """z(0) (N,) from which `simulate` starts: x(0) of every member, and the output before (see `nnss_cli.system`).

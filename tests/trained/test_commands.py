@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-
 from nnss_cli.datasets.record import Simulation
 
 from nnss_cli.model.nnss import NNSS

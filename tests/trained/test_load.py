@@ -19,7 +19,7 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import load_model, select
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import load
+from nnss_cli.trained import TrainedModel, compiled, load
 
 QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
 
@@ -97,6 +97,22 @@ def test_wrong_signals_are_named(u: object, y_init: object, told: str, trained_f
     with pytest.raises(InputError, match=told) as error:
         load(trained_folder(r=2, m=2)).simulate(u, y_init)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", [{}, {"scheduling": "x+u+y", "m": 2}, {"integrator": True, "scheduling": "x+u"}])
+def test_from_a_state_it_is_the_same_in_compiled_code(
+    kind: dict, untrained: Callable[..., TrainedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, random = untrained(n=3, **kind), np.random.default_rng(1)
+    u, z0 = random.standard_normal((200, 1)), 0.3 * random.standard_normal(model.system.size)
+    starts = [{"x0": z0}, *[{}] * ("integrator" not in kind)]  # which is at rest nowhere
+    plain = [model.simulate(u, **start) for start in starts]
+    monkeypatch.setattr(compiled, "LONG", 1)
+    fast = [model.simulate(u, **start) for start in starts]
+    assert any((one.x != other.x).any() for one, other in zip(fast, plain, strict=True)), "nothing was compiled"
+    for one, other in zip(fast, plain, strict=True):
+        np.testing.assert_allclose(one.y, other.y, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.x, other.x, rtol=1e-9, atol=1e-9)
 
 
 def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:
