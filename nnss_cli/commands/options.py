@@ -173,8 +173,9 @@ Interval = Annotated[
 IntervalBy = Annotated[
     str,
     typer.Option(
-        "--interval-by", metavar="residuals|ensemble",
-        help="Width of the band: constant, or following the spread of an ensemble's members.",
+        "--interval-by", metavar="residuals|ensemble|adaptive",
+        help="Width of the band: constant, following the spread of an ensemble's members or, in predict, the coverage "
+        "seen up to then.",
     ),
 ]  # fmt: skip
 FileSheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="Sheet of an Excel file.")]

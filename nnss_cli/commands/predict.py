@@ -16,6 +16,13 @@ def command(
         Path, typer.Argument(metavar="FILE", help="File with a column for each input and output, by the model's names.")
     ],
     horizon: Annotated[int, typer.Option("--horizon", metavar="N", help="Steps ahead.")] = 1,
+    guard: Annotated[
+        bool,
+        typer.Option(
+            "--guard",
+            help="Weigh the prediction against persistence by the errors seen up to then; at first it is the model's.",
+        ),
+    ] = False,
     interval: opt.Interval = None,
     interval_by: opt.IntervalBy = "residuals",
     data: opt.FittedOn = None,
@@ -32,13 +39,13 @@ def command(
 
     The model is corrected by what it did not foresee, x(k+1) = f(x(k), u(k)) + K (y(k) - y_predicted(k)). K is
     estimated each time, on the run's training record, and chosen on its validation record. Beside the errors stand
-    those of persistence, y(k) = y(k - N).
+    those of persistence, y(k) = y(k - N), and those with --guard, given or not.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable, write_text
-    from nnss_cli.report.validation import gain_lines, step_rows
+    from nnss_cli.report.validation import gain_lines, guard_lines, step_rows
     from nnss_cli.trained import load, read_record
     from nnss_cli.trained.simulate import output_table
     from nnss_cli.validation.predict import predict_record
@@ -51,12 +58,15 @@ def command(
     trained = load(model)
     record = read_record(trained, file, time=time, Ts=Ts, sheet=sheet)
     given = None if data is None else read_record(trained, data, sheet=sheet)
-    predictor = forecaster(trained, given)
+    predictor = forecaster(trained, given, guard)
     found = predict_record(predictor, record, horizon, interval, interval_by)
     require_writable(out.parent)
     write_text(out, output_table(trained, found.y, found.limits.pair if found.limits else None))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
-    for line in gain_lines(predictor.gains) + (found.limits.told(trained.channels) if found.limits else []):
+    lines = gain_lines(predictor.gains) + (
+        guard_lines(found.weight, trained.channels) if found.weight is not None else []
+    )
+    for line in lines + (found.limits.told(trained.channels) if found.limits else []):
         console.print(line, soft_wrap=True, highlight=False)
     if plot:
         from nnss_cli.report.figures import close_figure, save_figure
@@ -64,7 +74,7 @@ def command(
 
         figure = draw_simulated(
             found.seconds(trained.Ts), record.u, found.y, record.y, trained.channels, trained.label,
-            f"{horizon} step{'s' * (horizon != 1)} ahead",
+            f"{horizon} step{'s' * (horizon != 1)} ahead{', guarded' * guard}",
             (*found.limits.pair, found.limits.name) if found.limits else None,
         )  # fmt: skip
         save_figure(figure, figure_path)

@@ -10,7 +10,7 @@ import numpy as np
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.origin import with_origin
-from nnss_cli.experiment.provenance import Watch
+from nnss_cli.experiment.provenance import Watch, here
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_outputs
 from nnss_cli.experiment.store import Store
 from nnss_cli.files import together
@@ -95,7 +95,7 @@ def execute(
     )  # fmt: skip
     with store.writing(), together():
         if fit.model is not None:
-            with with_origin(spec, dataset.fitting.init_window, made, dataset.notes, fit.remarks):
+            with with_origin(spec, dataset.fitting.init_window, here(), dataset.notes, fit.remarks):
                 fit.model.save(store.run_folder(spec))
         store.write(result, signals)
     return result

@@ -38,7 +38,8 @@ class Origin:
     init_window: int | None
     """Output samples w from which x(0) is found; None where the folder is older than format 2 and does not tell."""
     provenance: dict[str, str]
-    """Versions, machine, time."""
+    """Versions and machine. Times and the command are the run's, so that equal trainings give equal folders; models of
+    earlier versions have them here."""
     notes: tuple[str, ...] = ()
     """What a user of the records must know, such as that a mean was taken off them."""
     remarks: tuple[str, ...] = ()

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from nnss_cli.datasets.record import Channels
+from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.datasets.units import titled
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
@@ -23,21 +23,16 @@ from nnss_cli.validation.result import OutputCheck, Validation
 
 
 def step_rows(steps: StepTable, channels: Channels) -> list[dict[str, str]]:
-    """Errors by horizon and output; ∞ is the free simulation."""
+    """Errors by horizon and output: the model's own predictions, guarded ones, persistence; ∞ is the simulation."""
     rows = []
     for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
-        for h, predicted, lasting in zip(
-            (*map(str, steps.horizons), "∞"),
-            (*steps.predicted[:, i], steps.simulated[i]),
-            (*steps.persistence[:, i], None),
-            strict=True,
-        ):
-            rows.append(
-                {
-                    "output": titled(name, unit), "steps ahead": h, "RMSE": number(predicted),
-                    "persistence": number(lasting),
-                }
-            )  # fmt: skip
+        columns = {"RMSE": [*steps.predicted[:, i], steps.simulated[i]]}
+        if steps.guarded is not None:
+            columns["guarded"] = [*steps.guarded[:, i], None]
+        columns["persistence"] = [*steps.persistence[:, i], None]
+        for k, h in enumerate((*map(str, steps.horizons), "∞")):
+            errors = {column: number(values[k]) for column, values in columns.items()}
+            rows.append({"output": titled(name, unit), "steps ahead": h} | errors)
     return rows
 
 
@@ -53,6 +48,14 @@ def gain_lines(gains: Sequence[Gain]) -> list[str]:
                 f"{whose}gain: {gain.origin}; the observer's errors change by a factor of {gain.rate:.3g} a sample"
             )
     return lines
+
+
+def guard_lines(weight: FloatArray, channels: Channels) -> list[str]:
+    """What a guard gave to persistence: weights (K, m), a line for each output."""
+    return [
+        f"guard, {name}: persistence had {100 * own.mean():.1f} % of the weight, {100 * own[-1]:.1f} % at the end"
+        for name, own in zip(channels.outputs, weight.T, strict=True)
+    ]
 
 
 def output_rows(found: Validation) -> list[dict[str, str]]:

@@ -1,7 +1,8 @@
 """A trained model put to the test on a record: errors, residuals, poles, linearisations, what linear models reach.
 
 The residuals are the errors one step ahead, of the predictor with its noise model (`gain`): those of the simulation are
-coloured wherever something but white noise on the outputs disturbs the plant, and that is no fault of a model.
+coloured wherever something but white noise on the outputs disturbs the plant, and that is no fault of a model. All of
+it is said of the model's own predictions; what a guard makes of them stands beside their errors by horizon.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
+from nnss_cli.trained.compiled import free_run
 from nnss_cli.validation.limit import linear_limits
 from nnss_cli.validation.linearisation import linearisations, pole_map
 from nnss_cli.validation.predictor import require_finite, step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
-from nnss_cli.validation.stepping import free_run
 from nnss_cli.validation.trained import Forecaster
 from nnss_cli.validation.verdict import stated, verdict
 
@@ -34,7 +35,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     """Put a model to the test.
 
     Args:
-        found: the model with its predictor.
+        found: the model with its predictor, without guard.
         records: one or more experiments, physical units.
         name: what the records are called.
     """
@@ -76,7 +77,8 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
                 tuple(profile(pooled, np.concatenate(x)) for x in states),
             )
         )  # fmt: skip
-    steps = step_table(found.predictor, records, [h for h in HORIZONS if h < shortest - w] or [1], w)
+    horizons = [h for h in HORIZONS if h < shortest - w] or [1]
+    steps = step_table(found.predictor, records, horizons, w, found.guard(horizons))
     poles = pole_map(trained, records, simulated)
     linear = linearisations(trained, records)
     tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)

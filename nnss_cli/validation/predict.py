@@ -25,7 +25,9 @@ class Predicted:
     limits: Limits | None
     """The band, where one was asked for."""
     steps: StepTable
-    """Errors at the horizons up to this one."""
+    """Errors at the horizons up to this one, with and without guard."""
+    weight: FloatArray | None
+    """Weight v(k) of persistence (K, m) in the prediction; None without guard."""
 
     def seconds(self, Ts: float) -> FloatArray:
         """The instants (K,) [s], from 0."""
@@ -38,11 +40,11 @@ def predict_record(
     """Predict a record `horizon` steps ahead.
 
     Args:
-        found: the predictor.
+        found: the predictor, guarded or not.
         record: with complete outputs, physical units.
         horizon: steps ahead, at least 1.
         level: share of samples that a band is to hold; None for no band.
-        scale: of the band: residuals or ensemble.
+        scale: of the band: residuals, ensemble or adaptive.
 
     Raises:
         InputError: the horizon is out of range, or the band cannot be had.
@@ -59,5 +61,9 @@ def predict_record(
         )
     limits = None if level is None else found.limits(record, horizon, level, scale)
     horizons = sorted({h for h in HORIZONS if h < horizon} | {horizon})
-    steps = step_table(found.predictor, (record,), horizons, found.trained.init_window)
-    return Predicted(horizon, found.predict(record, horizon), limits, steps)
+    guard = found.guard(horizons)
+    steps = step_table(found.predictor, (record,), horizons, found.trained.init_window, guard)
+    predicted, weight = found.predictor.predict(record.u, record.y, horizon, found.trained.init_window), None
+    if found.guarded:
+        predicted, weight = guard.applied(horizon, predicted, record.y)
+    return Predicted(horizon, predicted, limits, steps, weight)

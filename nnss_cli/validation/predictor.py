@@ -17,6 +17,7 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
+from nnss_cli.validation.guard import prior_strength, weights
 from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
 
@@ -112,6 +113,32 @@ def persistence(y: FloatArray, horizon: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class Guard:
+    """The guard of a predictor (`nnss_cli.validation.guard`) at some horizons."""
+
+    strengths: dict[int, FloatArray]
+    """a of each output (m,), by horizon, from the validation records."""
+    init_window: int
+    """First output samples that tell x(0), which do not count."""
+
+    @classmethod
+    def of(cls, predictor: Predictor, val: Sequence[Record], horizons: Sequence[int], init_window: int = 1) -> Guard:
+        """For a predictor, from its validation records (physical units)."""
+        gaps: dict[int, list[FloatArray]] = {horizon: [] for horizon in horizons}
+        for record in val:
+            each = predictor.predict_each(record.u, record.y, horizons, init_window).mean(axis=1)
+            for horizon, predicted in zip(horizons, each, strict=True):
+                gaps[horizon].append((persistence(record.y, horizon) - predicted)[init_window:])
+        return cls({horizon: prior_strength(own, horizon) for horizon, own in gaps.items()}, init_window)
+
+    def applied(self, horizon: int, predicted: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The guarded prediction and the weight v(k) of persistence in it, (K, m) each, from ŷ and y (K, m)."""
+        gaps = persistence(y, horizon) - predicted
+        v = weights(y - predicted, gaps, self.strengths[horizon], horizon, self.init_window)
+        return predicted + v * gaps, v
+
+
+@dataclass(frozen=True, eq=False)
 class StepTable:
     """Errors k steps ahead: of the predictor, beside persistence and the free simulation."""
 
@@ -123,10 +150,16 @@ class StepTable:
     """RMSE of ŷ(k | k − h) = y(k − h), likewise."""
     simulated: FloatArray
     """RMSE of the free simulation (m,)."""
+    guarded: FloatArray | None = None
+    """RMSE of the predictor with its guard (`nnss_cli.validation.guard`), as `predicted`; None where none was asked."""
 
 
 def step_table(
-    predictor: Predictor, records: Sequence[Record], horizons: Sequence[int], init_window: int = 1
+    predictor: Predictor,
+    records: Sequence[Record],
+    horizons: Sequence[int],
+    init_window: int = 1,
+    guard: Guard | None = None,
 ) -> StepTable:
     """Errors over the samples of all records after the init window, or after y(0), from which the simulation starts.
 
@@ -135,14 +168,19 @@ def step_table(
         records: physical units.
         horizons: steps ahead, each at least 1.
         init_window: first output samples that tell x(0).
+        guard: of the predictor at each of the horizons, where its errors are wanted, too.
     """
     wanted: tuple[int | None, ...] = (*horizons, None)
-    squares, persisting, count = 0.0, 0.0, 0
+    squares, persisting, guarding, count = 0.0, 0.0, 0.0, 0
     for record in records:
         each = predictor.predict_each(record.u, record.y, wanted, init_window).mean(axis=1)
         lasting = np.stack([persistence(record.y, horizon) for horizon in horizons])
         squares = squares + np.square(each - record.y)[:, init_window:].sum(axis=1)
         persisting = persisting + np.square(lasting - record.y)[:, init_window:].sum(axis=1)
+        if guard is not None:
+            each = np.stack([guard.applied(*pair, record.y)[0] for pair in zip(horizons, each, strict=False)])
+            guarding = guarding + np.square(each - record.y)[:, init_window:].sum(axis=1)
         count += max(0, len(record) - init_window)
     errors, lasting_errors = np.sqrt(squares / max(count, 1)), np.sqrt(persisting / max(count, 1))
-    return StepTable(tuple(horizons), errors[:-1], lasting_errors, errors[-1])
+    guarded = None if guard is None else np.sqrt(guarding / max(count, 1))
+    return StepTable(tuple(horizons), errors[:-1], lasting_errors, errors[-1], guarded)

@@ -22,10 +22,11 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.trained import compiled
+from nnss_cli.trained.compiled import free_run
 from nnss_cli.training.fast import Weights
 
 CHUNK = 4096  # points whose step is taken at a time
-LONG = 5000  # samples from which on an NN-SS is run by compiled kernels, which a machine compiles once, for seconds
 
 
 class Stepper(Protocol):
@@ -96,14 +97,6 @@ def steppers_of(model: Model) -> tuple[Stepper, ...]:
     return tuple(_stepper(member) for member in members)
 
 
-def free_run(model: Model, u: FloatArray, y_init: FloatArray) -> Simulation:
-    """`model.simulate`, which may be of a plug-in's kind; of a long record in compiled code, equal up to rounding."""
-    if len(u) < LONG or not isinstance(model, NNSS | Ensemble):
-        return model.simulate(u, y_init)
-    each = [system.simulate(u, y_init) for system in steppers_of(model)]
-    return Simulation(np.mean([one.y for one in each], axis=0), each[0].x)
-
-
 def _stepper(model: Model) -> Stepper:
     if isinstance(model, NNSS):
         return Neural(model)
@@ -131,15 +124,7 @@ class Neural:
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """See `Stepper`."""
-        if len(u) < LONG:
-            return self.model.simulate(u, y_init)
-        known = np.atleast_2d(y_init)
-        x0 = self.model.simulate(u[: len(known)], known).x[0]
-        y, x = self._compiled.free_runs(
-            self.scaling.normalise_u(u)[:, :, None], self.scaling.normalise_y(known[:1]).T, x0[:, None]
-        )
-        y, x = y[:, :, 0].astype(np.float64), x[:, :, 0].astype(np.float64)
-        return Simulation(self.scaling.restore_y(y), x)
+        return free_run(self.model, u, y_init)
 
     @cached_property
     def _compiled(self) -> Weights:
@@ -188,7 +173,7 @@ class Neural:
         """See `Stepper`."""
         z, predicted = np.full((len(u) + 1, *z0.shape), np.nan), np.full(y.shape, np.nan)
         z[0] = z0
-        step = self.step if len(u) < LONG else self._compiled_step
+        step = self.step if len(u) < compiled.LONG else self._compiled_step
         for k in range(len(u)):
             following, predicted[k] = step(z[k], u[k])
             with np.errstate(over="ignore", invalid="ignore"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, cast, get_args
 
@@ -11,15 +11,17 @@ import numpy as np
 from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.trained import TrainedModel
+from nnss_cli.trained.compiled import free_run
 from nnss_cli.trained.simulate import Simulated
+from nnss_cli.validation.adaptive import AdaptiveBand, adapt
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
-from nnss_cli.validation.predictor import Predictor, require_finite
-from nnss_cli.validation.stepping import free_run, steppers_of
+from nnss_cli.validation.predictor import Guard, Predictor, require_finite
+from nnss_cli.validation.stepping import steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
 
-BandScale: TypeAlias = Literal["residuals", "ensemble"]
+BandScale: TypeAlias = Literal["residuals", "ensemble", "adaptive"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +46,50 @@ class Forecaster:
     """One for each member."""
     fitting: Fitting
     """Where they come from."""
+    guarded: bool = False
+    """Whether predictions are weighed against persistence as errors are seen (`nnss_cli.validation.guard`)."""
 
     def predict(self, record: Record, horizon: int | None) -> FloatArray:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
-        return self.predictor.predict(record.u, record.y, horizon, self.trained.init_window)
+        return self._predicted(record, horizon, "residuals")[0]
+
+    def guard(self, horizons: Sequence[int]) -> Guard:
+        """What guards predictions at these horizons, from the validation records, whether it is used or not."""
+        return Guard.of(self.predictor, self.fitting.val, horizons, self.trained.init_window)
 
     def limits(self, record: Record, horizon: int | None, level: float, scale: str = "residuals") -> Limits:
-        """The band around predictions `horizon` steps ahead, from the validation records; see `interval`."""
-        by = band_scale(scale)
-        band = interval(self.trained, self.fitting.val, level, by, horizon, self.predictor)
-        predicted, spread = predicted_with_spread(self.trained, record, horizon, by, self.predictor)
-        return Limits.of(band, predicted, spread, record.y, self.trained.init_window)
+        """The band around predictions `horizon` steps ahead, from the validation records; see `interval`.
+
+        Args:
+            record: physical units.
+            horizon: steps ahead; None for the simulation.
+            level: share of samples that it is to hold.
+            scale: constant (residuals), following an ensemble's spread (ensemble), or the coverage seen up to k − h
+                (adaptive).
+
+        Raises:
+            InputError: as `interval`; adaptive around a simulation, which knows no outputs.
+        """
+        by, w = band_scale(scale), self.trained.init_window
+        predicted, spread = self._predicted(record, horizon, by)
+        if by != "adaptive":
+            band = interval(self.fitting.val, w, level, by, lambda each: self._predicted(each, horizon, by))
+            return Limits.of(band, predicted, spread, record.y, w)
+        if horizon is None:
+            raise adaptive_simulation()
+        errors = [(each.y - self._predicted(each, horizon, by)[0])[w:] for each in self.fitting.val]
+        adaptive = adapt(errors, [each.y[w:] for each in self.fitting.val], level, horizon)
+        return Limits.following(adaptive, predicted, record.y, w)
+
+    def _predicted(self, record: Record, horizon: int | None, scale: BandScale) -> tuple[FloatArray, FloatArray | None]:
+        predicted, spread = predicted_with_spread(self.trained, record, horizon, scale, self.predictor)
+        if self.guarded and horizon is not None:
+            predicted, _ = self.guard((horizon,)).applied(horizon, predicted, record.y)
+        return predicted, spread
 
     def limits_of_simulation(self, record: Record, level: float) -> Limits:
         """The band around the free simulation of a record."""
-        band = interval(self.trained, self.fitting.val, level)
+        band = simulation_band(self.trained, self.fitting.val, level, "residuals")
         y = free_run(self.trained.model, record.u, record.y[: self.trained.init_window]).y
         return Limits.of(band, y, None, record.y, self.trained.init_window)
 
@@ -75,6 +106,8 @@ class Limits:
     """Upper limits (K, m), physical units."""
     held: FloatArray | None
     """Share of the measured outputs within (m,), the init window left out; None where nothing was measured."""
+    adaptive: AdaptiveBand | None = None
+    """What moves the width of `band` as errors are seen; None where it is fixed beforehand."""
 
     @classmethod
     def of(
@@ -82,10 +115,14 @@ class Limits:
     ) -> Limits:
         """Around outputs y (K, m), with an ensemble's spread where the band follows it."""
         low, high = band.limits(y, spread)
-        held = None
-        if measured is not None and len(measured) > init_window:
-            held = np.mean(((low <= measured) & (measured <= high))[init_window:], axis=0)
-        return cls(band, low, high, held)
+        return cls(band, low, high, _share_held(low, high, measured, init_window))
+
+    @classmethod
+    def following(cls, band: AdaptiveBand, y: FloatArray, measured: FloatArray, init_window: int) -> Limits:
+        """Around predictions y (K, m), as wide as the errors up to k − h say."""
+        half = band.half_widths(measured - y, init_window)
+        low, high = y - half, y + half
+        return cls(band.start, low, high, _share_held(low, high, measured, init_window), band)
 
     @property
     def pair(self) -> tuple[FloatArray, FloatArray]:
@@ -103,6 +140,12 @@ class Limits:
         for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
             width = "the members' spread" if self.band.floor is not None else "" if unit == "–" else unit
             half = f"{self.band.half_width[i]:.4g} {'× ' if self.band.floor is not None else ''}{width}".strip()
+            if self.adaptive is not None:
+                widths = (self.high - self.low)[:, i] / 2
+                half += (
+                    f" at first, then {widths.min():.4g} to {widths.max():.4g} by the coverage seen (step "
+                    f"{self.adaptive.steps[i]:g}); the first"
+                )
             seen = "" if self.held is None else f"; it holds {100 * self.held[i]:.1f} % here"
             lines.append(
                 f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
@@ -116,6 +159,20 @@ class Limits:
         return (
             f", whose errors remember {self.band.memory[output]}: it is too short to assure {100 * self.band.level:g} %"
         )
+
+
+def _share_held(low: FloatArray, high: FloatArray, measured: FloatArray | None, init_window: int) -> FloatArray | None:
+    if measured is None or len(measured) <= init_window:
+        return None
+    return np.asarray(np.mean(((low <= measured) & (measured <= high))[init_window:], axis=0))
+
+
+def adaptive_simulation() -> InputError:
+    """That a simulation's band cannot follow what is seen."""
+    return InputError(
+        "interval-by adaptive: expected predictions, which know the outputs up to then, found a simulation: use 'nnss "
+        "predict', or leave --interval-by out"
+    )
 
 
 def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:
@@ -157,12 +214,13 @@ def records_to_validate(trained: TrainedModel, split: str = "") -> tuple[str, tu
     return name, kept[name]
 
 
-def forecaster(trained: TrainedModel, data: Record | None = None) -> Forecaster:
+def forecaster(trained: TrainedModel, data: Record | None = None, guarded: bool = False) -> Forecaster:
     """The predictor of a trained model: its gain is estimated anew, deterministically, and kept nowhere.
 
     Args:
         trained: the model.
         data: a record to fit on, instead of those of its run.
+        guarded: whether its predictions are weighed against persistence as errors are seen.
 
     Raises:
         InputError: there is nothing to fit on, or the model is of a kind whose step is not known.
@@ -170,7 +228,7 @@ def forecaster(trained: TrainedModel, data: Record | None = None) -> Forecaster:
     steppers = steppers_of(trained.model)
     fitting = fitting_records(trained, data)
     gains = tuple(estimate_gain(each, fitting.train, fitting.val, trained.init_window) for each in steppers)
-    return Forecaster(trained, Predictor(trained.model, tuple(gain.K for gain in gains)), gains, fitting)
+    return Forecaster(trained, Predictor(trained.model, tuple(gain.K for gain in gains)), gains, fitting, guarded)
 
 
 def simulator(trained: TrainedModel) -> Predictor:
@@ -207,8 +265,10 @@ def simulation_limits(
             from rest.
     """
     by = band_scale(scale)
+    if by == "adaptive":
+        raise adaptive_simulation()
     val = fitting_records(trained).val if data is None else (data,)
-    band = interval(trained, val, level, by)
+    band = simulation_band(trained, val, level, by)
     spread = None
     if by == "ensemble":
         if found.measured is None:
@@ -218,36 +278,40 @@ def simulation_limits(
     return Limits.of(band, found.y, spread, found.measured, trained.init_window)
 
 
+def simulation_band(trained: TrainedModel, val: Sequence[Record], level: float, scale: BandScale) -> Band:
+    """The band of the free simulation; see `interval`."""
+    return interval(
+        val, trained.init_window, level, scale, lambda each: predicted_with_spread(trained, each, None, scale)
+    )
+
+
 def interval(
-    trained: TrainedModel,
     val: Sequence[Record],
+    init_window: int,
     level: float,
-    scale: BandScale = "residuals",
-    horizon: int | None = None,
-    predictor: Predictor | None = None,
+    scale: BandScale,
+    predict: Callable[[Record], tuple[FloatArray, FloatArray | None]],
 ) -> Band:
     """The band ŷ ± … of a simulation, or of predictions, from validation records that have not trained the model.
 
     Samples of the init window do not count, since they tell the initial state.
 
     Args:
-        trained: the model.
         val: validation records, physical units.
+        init_window: first output samples that tell x(0).
         level: share of samples that it is to hold.
         scale: constant half-width (residuals), or following the spread of an ensemble's members.
-        horizon: steps ahead; None for the simulation.
-        predictor: for a horizon.
+        predict: a record's ŷ (K, m) and, where the band is to follow it, the members' spread.
 
     Raises:
         InputError: the level is out of range, the records are too short for it, or the model is no ensemble.
     """
-    w = trained.init_window
     errors, spreads = [], []
     for record in val:
-        predicted, spread = predicted_with_spread(trained, record, horizon, scale, predictor)
-        errors.append((record.y - predicted)[w:])
-        spreads.append(None if spread is None else spread[w:])
-    if scale == "residuals":
+        predicted, spread = predict(record)
+        errors.append((record.y - predicted)[init_window:])
+        spreads.append(None if spread is None else spread[init_window:])
+    if scale != "ensemble":
         return calibrate(errors, level)
     return calibrate(errors, level, [spread for spread in spreads if spread is not None])
 
@@ -261,7 +325,7 @@ def predicted_with_spread(
         InputError: a spread is asked of one model alone.
     """
     w = trained.init_window
-    if scale == "residuals":
+    if scale != "ensemble":
         if horizon is None:
             simulated = free_run(trained.model, record.u, record.y[:w]).y
             require_finite("simulation", simulated)

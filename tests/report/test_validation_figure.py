@@ -62,6 +62,19 @@ def test_errors_ahead_are_tabled_by_output_and_horizon_and_end_with_the_simulati
         ("y", "1", "0.2", "0.6"), ("y", "5", "0.4", "0.8"), ("y", "∞", "1.235", "–"),
     ]  # fmt: skip
     assert list(rows[0]) == ["output", "steps ahead", "RMSE", "persistence"]
+    guarded = replace(FOUND.steps, guarded=np.array([[0.11, 0.21], [0.31, 0.41]]))
+    with_guard = report.step_rows(guarded, FOUND.channels)
+    assert list(with_guard[0]) == ["output", "steps ahead", "RMSE", "guarded", "persistence"]
+    assert [row["guarded"] for row in with_guard] == ["0.11", "0.31", "–", "0.21", "0.41", "–"]
+    assert [{key: row[key] for key in rows[0]} for row in with_guard] == rows
+
+
+def test_a_guard_says_how_much_persistence_had() -> None:
+    weight = np.array([[0.0, 0.2], [0.5, 0.6]])
+    assert report.guard_lines(weight, FOUND.channels) == [
+        "guard, x: persistence had 25.0 % of the weight, 50.0 % at the end",
+        "guard, y: persistence had 40.0 % of the weight, 60.0 % at the end",
+    ]
 
 
 def test_a_gain_says_where_it_comes_from() -> None:

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from nnss_cli.datasets.record import Simulation
 
+from nnss_cli.model.nnss import NNSS
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import load
+from nnss_cli.trained import TrainedModel, compiled, load
 
 
 @pytest.fixture
@@ -37,6 +39,34 @@ def test_simulate_writes_what_the_model_simulates(
     run = json.loads((trained_folder() / "run.json").read_text())
     rmse = next(score["rmse"] for score in run["scores"] if score["split"] == "test")
     assert f"{rmse:.3g}"[:4] in done.out
+
+
+def test_a_long_record_is_simulated_in_compiled_code(
+    new: Path,
+    nnss: Callable,
+    untrained: Callable[..., TrainedModel],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Equal to the model's own simulation up to rounding; the command never takes the slow way."""
+    model, random = untrained(n=3).model, np.random.default_rng(0)
+    u, y = random.standard_normal((compiled.LONG, 1)), random.standard_normal((compiled.LONG, 1))
+    pd.DataFrame({"u1": u[:, 0], "y1": y[:, 0]}).to_csv(new, index=False, float_format="%.17g")
+    expected = model.simulate(u, y[:1])
+    model.save(tmp_path / "model")
+    plain, longest = NNSS.simulate, []
+
+    def watched(self: NNSS, u: np.ndarray, y_init: np.ndarray) -> Simulation:
+        longest.append(len(u))
+        return plain(self, u, y_init)
+
+    monkeypatch.setattr(NNSS, "simulate", watched)
+    done = nnss("simulate", tmp_path / "model", new, "--states")
+    assert done.code == 0, done.err
+    found = pd.read_csv("predicted.csv")
+    np.testing.assert_allclose(found["y1"], expected.y[:, 0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[["x1", "x2", "x3"]], expected.x, rtol=1e-9, atol=1e-9)
+    assert max(longest) < 10
 
 
 def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:

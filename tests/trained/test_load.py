@@ -13,10 +13,13 @@ import pytest
 
 import nnss_cli
 from nnss_cli.errors import InputError
-from nnss_cli.methods import load_model
+from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.store import Store
+from nnss_cli.experiment.sweep import plan
+from nnss_cli.methods import load_model, select
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import load
+from nnss_cli.trained import TrainedModel, compiled, load
 
 QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
 
@@ -96,6 +99,22 @@ def test_wrong_signals_are_named(u: object, y_init: object, told: str, trained_f
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("kind", [{}, {"scheduling": "x+u+y", "m": 2}, {"integrator": True, "scheduling": "x+u"}])
+def test_from_a_state_it_is_the_same_in_compiled_code(
+    kind: dict, untrained: Callable[..., TrainedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, random = untrained(n=3, **kind), np.random.default_rng(1)
+    u, z0 = random.standard_normal((200, 1)), 0.3 * random.standard_normal(model.system.size)
+    starts = [{"x0": z0}, *[{}] * ("integrator" not in kind)]  # which is at rest nowhere
+    plain = [model.simulate(u, **start) for start in starts]
+    monkeypatch.setattr(compiled, "LONG", 1)
+    fast = [model.simulate(u, **start) for start in starts]
+    assert any((one.x != other.x).any() for one, other in zip(fast, plain, strict=True)), "nothing was compiled"
+    for one, other in zip(fast, plain, strict=True):
+        np.testing.assert_allclose(one.y, other.y, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.x, other.x, rtol=1e-9, atol=1e-9)
+
+
 def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:
     """A copy of a model whose model.json has other values; without those that are None."""
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
@@ -124,6 +143,22 @@ def test_older_folders_load(trained_folder: Callable[..., Path], tmp_path: Path)
     assert (bare.origin, bare.fingerprint, bare.order, bare.init_window) == (None, None, 2, 1)
     u = np.random.default_rng(0).standard_normal(9)
     np.testing.assert_array_equal(bare.simulate(u, 1.0).y, load(trained_folder()).simulate(u, 1.0).y)
+
+
+def test_equal_trainings_give_equal_folders(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
+    """To the byte, whenever and by whichever command; an earlier version's model, which kept its times, loads."""
+    dataset, folder = small_dataset(), trained_folder("nnss", **QUICK)
+    store = Store(tmp_path / "again", dataset.name, dataset.protocol)
+    (spec,) = plan(store, dataset, select(["nnss"]), [2], [0], QUICK, False).todo
+    execute(spec, dataset, store, command="another")
+    for name in ("model.json", "model.safetensors"):
+        assert (store.run_folder(spec) / name).read_bytes() == (folder / name).read_bytes()
+    training = json.loads((folder / "model.json").read_text())["training"]
+    times = {"seconds": "4.428", "started": "2026-11-26T09:35:06.487+00:00", "command": "nnss compare"}
+    training["provenance"] |= times
+    older = load(changed(folder, tmp_path, training=training)).origin
+    assert older is not None
+    assert times.items() <= older.provenance.items()
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from safetensors.numpy import load_file, save_file
 
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.report.tables import number
 from nnss_cli.trained import load
 from nnss_cli.validation.residuals import dependence, whiteness
 from nnss_cli.validation.trained import forecaster
@@ -65,6 +66,36 @@ def test_the_band_is_the_validation_records_alone(
             widths.append((table["y1_high"] - table["y1_low"]).round(9).unique())
         np.testing.assert_array_equal(*widths)
         assert len(widths[0]) == 1
+
+
+def test_predict_with_a_guard_and_an_adaptive_band(
+    nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
+) -> None:
+    """On another plant's record; the table has guarded errors either way, a simulation has no such band."""
+    record = plant_data().tests["test"][0]
+    lost = Record(record.u, record.y + 200, record.Ts)
+    write(lost, Path("lost.csv"))
+    options = ("--horizon", "2", "--interval", "0.9", "--interval-by", "adaptive")
+    plain = nnss("predict", plant_run(), "lost.csv", *options, "--out", "plain.csv")
+    guarded = nnss("predict", plant_run(), "lost.csv", *options, "--guard", "--out", "guarded.csv", "--plot")
+    assert (plain.code, guarded.code) == (0, 0), guarded.err
+    for name, flag in (("plain", False), ("guarded", True)):
+        found, expected = pd.read_csv(f"{name}.csv"), forecaster(load(plant_run()), guarded=flag)
+        np.testing.assert_allclose(found["y1"], expected.predict(lost, 2)[:, 0], rtol=1e-9)
+        limits = expected.limits(lost, 2, 0.9, "adaptive")
+        np.testing.assert_allclose(found[["y1_low", "y1_high"]], np.hstack(limits.pair), rtol=1e-9)
+        assert limits.held is not None
+        done = guarded if flag else plain
+        assert f"by the coverage seen (step {limits.adaptive.steps[0]:g})" in done.out  # type: ignore[union-attr]
+        assert f"it holds {100 * limits.held[0]:.1f} % here" in done.out
+        assert ("guard, y1: persistence had " in done.out) == flag
+        assert "guarded" in done.out.split("persistence")[0]
+        error = np.sqrt(np.mean((found["y1"] - lost.y[:, 0])[1:] ** 2))
+        assert number(float(error)) in done.out.split()
+    refused = nnss("simulate", plant_run(), "lost.csv", *options[2:], "--out", "none.csv")
+    assert refused.code == 2
+    assert "interval-by adaptive: expected predictions" in refused.err
+    assert not Path("none.csv").exists()
 
 
 def test_simulate_with_an_interval(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
