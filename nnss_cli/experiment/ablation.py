@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nnss_cli.datasets.record import Dataset
-from nnss_cli.errors import unknown
+from nnss_cli.errors import InputError, unknown
 from nnss_cli.experiment.agreement import agreeing
 from nnss_cli.experiment.executor import Event
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, records_of
 from nnss_cli.experiment.sweep import plan, sweep
 from nnss_cli.files import write_text
-from nnss_cli.methods import METHODS, Settings, load_model
+from nnss_cli.methods import METHODS, Method, Settings, load_model
 from nnss_cli.methods.options import for_method
 
 STRESS = 20_000  # steps of a run's stress test
@@ -48,6 +48,7 @@ STUDIES: dict[str, dict[str, Settings]] = {
     "stability": {
         "schur": {"stability": "schur"},
         "quadratic": {"stability": "quadratic"},
+        "incremental": {"stability": "incremental"},
         "none": {"stability": "none"},
     },
 }
@@ -87,16 +88,23 @@ def ablate(
 ) -> list[Variant]:
     """Run what is missing of a study, and return all of it.
 
+    A variant that does not go with the other options, as `incremental` with several hidden layers, has no runs.
+
     Raises:
-        InputError: the study is unknown, or an order or option is out of range.
+        InputError: the study is unknown, or an order or option is out of range for all variants.
     """
     if study not in STUDIES:
         raise unknown("study", study, STUDIES)
     found = []
     method = METHODS["nnss"]
-    for name, change in STUDIES[study].items():
+    given = {name: for_method(overrides, method.name) | change for name, change in STUDIES[study].items()}
+    refused = _refused(method, dataset, orders, given)
+    for name, changed in given.items():
+        if name in refused:
+            unbounded = () if study == "stability" else None
+            found.append(Variant(name, (), unbounded, (f"{name}: {refused[name]}",)))
+            continue
         own = variant_store(store, study, name)
-        changed = for_method(overrides, method.name) | change
         planned = plan(own, dataset, [method], orders, seeds, changed, force=False)
         todo = planned.todo
         on_plan(name, len(todo))
@@ -124,6 +132,24 @@ def studies(store: Store) -> dict[str, list[Variant]]:
         if any(variant.results for variant in variants):
             found[study] = variants
     return found
+
+
+def _refused(method: Method, dataset: Dataset, orders: Sequence[int], given: dict[str, Settings]) -> dict[str, str]:
+    """Why there are no runs of a variant, by its name.
+
+    Raises:
+        InputError: there are of none.
+    """
+    refused = {}
+    for name, changed in given.items():
+        try:
+            for order in orders:
+                method.settings(dataset.fitting, order, changed)
+        except InputError as error:
+            refused[name] = error
+    if len(refused) == len(given):
+        raise next(iter(refused.values()))
+    return {name: str(error) for name, error in refused.items()}
 
 
 def _unbounded(store: Store, results: Sequence[RunResult], study: str) -> tuple[RunResult, ...] | None:

@@ -451,9 +451,9 @@ def test_the_riccati_equation_is_not_believed_without_its_inequality(monkeypatch
     assert not lti._bounded_real(system, 20 * 1.001, 1e-3)
 
 
-def incremental_model(gain: float = 0.0) -> NNSS:
+def incremental_model(gain: float = 0.0, n: int = 2, gamma: float = 0.9) -> NNSS:
     architecture = Architecture(
-        2, 1, 1, hidden=(4,), encoder=(2,), dtype="float64", stability="incremental", gamma=0.9, gain=gain
+        n, 1, 1, hidden=(4,), encoder=(2,), dtype="float64", stability="incremental", gamma=gamma, gain=gain
     )
     one = np.ones(1)
     scaling = Scaling(0 * one, 2 * one, 0 * one, 3 * one)
@@ -462,11 +462,14 @@ def incremental_model(gain: float = 0.0) -> NNSS:
     return model
 
 
-def test_what_an_incremental_layer_has_by_construction_is_said_to_be_proved() -> None:
+def noise() -> Record:
     random = np.random.default_rng(0)
-    record = Record(random.uniform(-2, 2, (80, 1)), random.uniform(-1, 1, (80, 1)), 1.0)
-    for gain, budget in ((0.0, 0.0), (2.0, 0.0), (2.0, 5.0)):
-        found = certify(incremental_model(gain), {"train": (record,)}, steps=0, budget=budget)
+    return Record(random.uniform(-2, 2, (80, 1)), random.uniform(-1, 1, (80, 1)), 1.0)
+
+
+def test_what_an_incremental_layer_has_by_construction_is_said_to_be_proved() -> None:
+    for gain in (0.0, 2.0):
+        found = certify(incremental_model(gain), {"train": (noise(),)}, steps=0)
         together = found.statement("incremental")
         assert (together.status, together.value) == ("proved", 0.9)
         assert found.broken == ()
@@ -479,15 +482,54 @@ def test_what_an_incremental_layer_has_by_construction_is_said_to_be_proved() ->
             assert "--gain" in differences.how
         else:
             assert (differences.status, differences.bound) == ("unknown", None)
-        if budget:
-            assert found.gain.attack is not None
-            assert 0 < found.gain.attack <= found.gain.bound  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("n", "gain", "gamma"), [(2, 0.0, 0.9), (2, 2.0, 0.9), (6, 0.0, 1.0)])
+def test_an_incremental_layer_gets_a_gain_for_every_input_that_was_not_asked_for(
+    n: int, gain: float, gamma: float
+) -> None:
+    pytest.importorskip("cvxpy")
+    model = incremental_model(gain, n, gamma)
+    with torch.no_grad():
+        for parameter in model.generator.parameters():
+            parameter.add_(torch.from_numpy(0.6 * np.random.default_rng(3).standard_normal(tuple(parameter.shape))))
+    found = certify(model, {"train": (noise(),)}, steps=0, budget=2)
+    assert found.broken == ()
+    rest, differences = found.gain, found.incremental_gain
+    for each, where in ((rest, "x(0) = 0, every input"), (differences, "one x(0) for both, every two inputs")):
+        assert (each.status, each.holds_for) == ("proved", where)
+        assert "multiplier" in each.how
+        assert each.bound is not None
+        assert each.attack is not None
+        assert 0.3 * each.bound < each.attack <= each.bound
+        assert each.tightness == pytest.approx(each.attack / each.bound)
+        assert each.bound_physical == pytest.approx(each.bound * 3 / 2)
+    assert rest.bound <= differences.bound  # type: ignore[operator]
+    assert rest.attack <= differences.attack  # type: ignore[operator]
+    if gain:
+        assert differences.bound < gain  # type: ignore[operator]
+    together, state = found.statement("incremental"), found.statement("state")
+    assert together.value is not None
+    assert (together.status, together.value < 1) == ("proved", True)
+    assert ("S⁻¹" in together.claim) == (gamma == 1)  # else the construction says it of the model's own states
+    assert state.status == "proved"
+    assert state.value is not None
+    # pairs of trajectories far apart, under inputs beyond the records' range
+    random = np.random.default_rng(0)
+    u = 30 * random.standard_normal((200, 1, 2)) * np.exp(random.uniform(-3, 0, (1, 1, 2)))
+    y, x = Neural(model).run(u, np.zeros((1, 2)), np.zeros((n, 2)))
+    for one, other in ((y[:, :, 0], u[:, :, 0]), (y[:, :, 1], u[:, :, 1])):
+        assert np.linalg.norm(one) <= rest.bound * np.linalg.norm(other)  # type: ignore[operator]
+    moved, off = y[:, :, 0] - y[:, :, 1], u[:, :, 0] - u[:, :, 1]
+    assert np.linalg.norm(moved) <= differences.bound * np.linalg.norm(off)  # type: ignore[operator]
+    inside = u / np.abs(u).max() * found.input_bound
+    _, x = Neural(model).run(inside, np.zeros((1, 2)), np.zeros((n, 2)))
+    assert np.linalg.norm(x, axis=1).max() <= state.value
 
 
 def test_nothing_is_proved_by_a_layer_whose_promise_does_not_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lure, "promised_norm", lambda _: 1.0)
-    record = Record(np.linspace(-1, 1, 40)[:, None], np.zeros((40, 1)), 1.0)
-    found = certify(incremental_model(2.0), {"train": (record,)}, steps=0)
+    found = certify(incremental_model(2.0), {"train": (noise(),)}, steps=0)
     assert any("layer's promise" in line for line in found.broken)
     assert found.statement("incremental").status == "unknown"
     assert (found.gain.bound, found.incremental_gain.bound) == (None, None)

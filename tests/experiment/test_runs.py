@@ -397,10 +397,30 @@ def test_only_runs_with_a_model_are_unbounded_under_stress(
         store, small_data(K=200), "stability", [2], [0, 1], {"epochs": 1}, 1, NOTHING, NOTHING, NOTHING
     )
     rows = study_rows(variants)
-    assert [row["runs"] for row in rows] == ["1/2"] * 3
-    assert [row["unbounded under stress"] for row in rows] == ["0 of 1"] * 3
+    assert [row["runs"] for row in rows] == ["1/2"] * 4
+    assert [row["unbounded under stress"] for row in rows] == ["0 of 1"] * 4
+    assert [row["variant"] for row in rows] == ["schur", "quadratic", "incremental", "none"]
     grown = [replace(v, unbounded=v.results[:1]) for v in variants]
-    assert [row["unbounded under stress"] for row in study_rows(grown)] == ["1 of 1"] * 3
+    assert [row["unbounded under stress"] for row in study_rows(grown)] == ["1 of 1"] * 4
+
+
+def test_a_variant_that_does_not_go_with_the_options_is_left_out(
+    tmp_path: Path, small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(METHODS["nnss"]), "fit", diverging({0}))
+
+    def of(**options: object) -> list[ablation.Variant]:
+        store = Store(tmp_path, "small", "strict")
+        return ablation.ablate(
+            store, small_data(K=200), "stability", [2], [0], {"epochs": 1} | options, 1, NOTHING, NOTHING, NOTHING
+        )
+
+    variants = {variant.name: variant for variant in of(hidden=(3, 3))}
+    assert [len(variant.results) for variant in variants.values()] == [1, 1, 0, 1]
+    assert "expected one hidden layer, found 2" in variants["incremental"].left_out[0]
+    assert [row["runs"] for row in study_rows(list(variants.values()))] == ["0/1", "0/1", "0/0", "0/1"]
+    with pytest.raises(InputError, match="gamma"):
+        of(gamma=2.0)
 
 
 def test_threads_are_no_other_options(tmp_path: Path) -> None:

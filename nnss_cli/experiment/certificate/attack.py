@@ -38,9 +38,9 @@ class Attack:
     ratio: float
     """‖y‖₂/‖u‖₂ from x(0) = 0, over the samples simulated; the true gain is no smaller."""
     u: FloatArray
-    """The input (K, r)."""
+    """The input (K, r), or its change."""
     y: FloatArray
-    """Its output (K, m)."""
+    """Its output (K, m), or the change of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +63,11 @@ def horizon(radius: float) -> int:
 
 def largest_gain(
     system: System, run: Run, low: FloatArray, high: FloatArray, K: int, random: np.random.Generator,
-    deadline: float,
+    deadline: float, held: FloatArray | None = None,
 ) -> Attack:  # fmt: skip
     """Ascend the ℓ2 gain from several starts: held, sinusoidal and random inputs of several energies.
+
+    With an input that is held, that of differences: of y to what it is under that input alone, per change of the input.
 
     Args:
         system: the model in normalised units.
@@ -75,8 +77,11 @@ def largest_gain(
         K: samples.
         random: for starts.
         deadline: on `time.perf_counter`; at least one round is made.
+        held: inputs (r,) within the range; 0 without, from which y is that of rest.
     """
     r, k = len(low), np.arange(K)
+    held = np.zeros(r) if held is None else held
+    low, high = low - held, high - held
     largest = np.maximum(np.abs(low), np.abs(high))
     shapes = [np.ones((K, r)) * (np.where(high > -low, 1.0, -1.0)), -np.ones((K, r)) * np.where(high > -low, 1.0, -1.0)]
     shapes += [np.sin(2 * np.pi * k / period)[:, None] * np.ones(r) for period in (K / 2, K / 8, 16.0)]
@@ -87,17 +92,21 @@ def largest_gain(
     energy = np.linalg.norm(u, axis=(0, 1))
     best = Attack(0.0, u[:, :, 0], np.zeros((K, system.outputs)))
     rest = np.zeros((system.n, b))
+    alone: FloatArray = np.zeros((K, system.outputs, 1))
+    if held.any():
+        alone, _ = run(np.tile(held[:, None], (K, 1, 1)), np.zeros((system.outputs, 1)), rest[:, :1])
     for _ in range(ITERATIONS):
         with np.errstate(over="ignore", invalid="ignore"):
-            y, x = run(u, np.zeros((system.outputs, b)), rest)
+            y, x = run(u + held[:, None], np.zeros((system.outputs, b)), rest)
+            off = y - alone
             sizes = np.linalg.norm(u, axis=(0, 1))
-            ratios = np.linalg.norm(y, axis=(0, 1)) / np.where(sizes > 0, sizes, np.inf)
+            ratios = np.linalg.norm(off, axis=(0, 1)) / np.where(sizes > 0, sizes, np.inf)
         leader = int(np.argmax(np.where(np.isfinite(ratios), ratios, -1.0)))
         if np.isfinite(ratios[leader]) and ratios[leader] > best.ratio:
-            best = Attack(float(ratios[leader]), u[:, :, leader].copy(), y[:, :, leader].copy())
+            best = Attack(float(ratios[leader]), u[:, :, leader].copy(), off[:, :, leader].copy())
         if time.perf_counter() > deadline:
             break
-        slope, _ = gradients(system, u, y, x, y, np.zeros((system.n, b)))
+        slope, _ = gradients(system, u + held[:, None], y, x, off, np.zeros((system.n, b)))
         size = np.linalg.norm(slope, axis=(0, 1))
         usable = np.isfinite(size) & (size > 0)
         moved = np.where(usable, energy / np.where(usable, size, 1.0), 0.0) * np.where(usable, slope, 0.0)

@@ -19,6 +19,7 @@ import numpy as np
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.elementary import Program
+from nnss_cli.experiment.certificate import lmi
 from nnss_cli.experiment.certificate.affine import Affine
 from nnss_cli.experiment.certificate.branch import prove
 from nnss_cli.experiment.certificate.dynamics import Dynamics
@@ -107,8 +108,10 @@ def _attempt(
     for _ in range(ROUNDS):
         if time.perf_counter() > deadline:
             return None, "the time was over"
-        proposed = _proposed(search, blocks, room)
+        proposed = _proposed(search, blocks, room, deadline)
         if proposed is None:
+            if time.perf_counter() > deadline:
+                return None, "the time was over"
             return None, f"no storage function for {len(blocks)} sampled points"
         number, S = proposed
         samples = _points(SAMPLED, search, random)
@@ -156,7 +159,7 @@ def _weighted(blocks: FloatArray, S: FloatArray, number: float, search: _Search)
     return np.concatenate([top, np.concatenate([C @ S, D / number], axis=2)], axis=1)
 
 
-def _proposed(search: _Search, blocks: FloatArray, room: float) -> tuple[float, FloatArray] | None:
+def _proposed(search: _Search, blocks: FloatArray, room: float, deadline: float) -> tuple[float, FloatArray] | None:
     """γ (or the rate), a little above the LMI's, and S."""
     import cvxpy as cp
 
@@ -169,14 +172,9 @@ def _proposed(search: _Search, blocks: FloatArray, room: float) -> tuple[float, 
     P = cp.Variable((n, n), symmetric=True)
 
     def solved(problem: cp.Problem) -> FloatArray | None:
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except (cp.SolverError, ValueError):
+        if not lmi.solved(problem, deadline):
             return None
-        if P.value is None or problem.status not in ("optimal", "optimal_inaccurate"):
-            return None
-        values, vectors = np.linalg.eigh((P.value + P.value.T) / 2)
-        return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])))
+        return lmi.factor(P)
 
     if search.gain:
         square = cp.Variable()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import time
+
 import numpy as np
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.experiment.certificate import lmi
 from nnss_cli.experiment.certificate.systems import radii
 
 
@@ -16,17 +20,21 @@ def only_lyapunov(A: FloatArray) -> tuple[str, float | None]:
     return "exists: ρ(A) < 1, and A is the only one", radius
 
 
-def common_lyapunov(matrices: FloatArray) -> tuple[str, float | None]:
+def common_lyapunov(matrices: FloatArray, deadline: float = math.inf) -> tuple[str, float | None]:
     """Search P ≻ 0 and the smallest rate r with AᵀPA ≼ r²P for all matrices (N, n, n), by bisection on r up to 1.
+
+    Args:
+        matrices: A (N, n, n).
+        deadline: on `time.perf_counter`; the rate is the smallest that was found by then.
 
     Returns:
         What was found, in words, and the rate (None where there is none below 1). It says nothing about
         matrices that are not among them.
     """
-    try:
-        import cvxpy as cp
-    except ModuleNotFoundError:
-        return "not searched: pip install 'nnss[certify]'", None
+    if not lmi.available():
+        return lmi.MISSING, None
+    import cvxpy as cp
+
     n = matrices.shape[1]
     floor = float(radii(matrices).max())
     if floor >= 1:
@@ -38,22 +46,20 @@ def common_lyapunov(matrices: FloatArray) -> tuple[str, float | None]:
         constraints = [P >> np.eye(n), P << t * np.eye(n)]
         constraints += [rate**2 * P - A.T @ P @ A >> 1e-9 * np.eye(n) for A in matrices]
         problem = cp.Problem(cp.Minimize(t), constraints)
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except (cp.SolverError, ValueError):
-            return None
-        if P.value is None:
+        if not lmi.solved(problem, deadline):
             return None
         # trusted only as far as the eigenvalues, computed here, bear it out
-        L = np.linalg.cholesky((P.value + P.value.T) / 2)
+        L = np.linalg.cholesky((lmi.value(P) + lmi.value(P).T) / 2)
         moved = np.linalg.solve(L, np.swapaxes(matrices, 1, 2) @ L)  # L⁻¹ AᵀL has the norm of A in the metric P
         worst = float(np.linalg.norm(moved, 2, axis=(1, 2)).max())
-        return P.value if worst <= rate * (1 + 1e-7) else None
+        return lmi.value(P) if worst <= rate * (1 + 1e-7) else None
 
     if solution(1.0) is None:
+        if time.perf_counter() >= deadline:
+            return f"not decided for the {len(matrices)} sampled A(ρ): the time was over", None
         return f"none found for the {len(matrices)} sampled A(ρ)", None
     low, high = floor, 1.0
-    while high - low > 1e-3:
+    while high - low > 1e-3 and time.perf_counter() < deadline:
         middle = (low + high) / 2
         low, high = (low, middle) if solution(middle) is not None else (middle, high)
     return f"found for the {len(matrices)} sampled A(ρ); says nothing about others", high

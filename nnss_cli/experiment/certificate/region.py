@@ -27,6 +27,7 @@ from nnss_cli.experiment.certificate.dynamics import Dynamics
 
 PRODUCT = Node("product", (), (0, 0))
 FACES = {1: 2, 2: 32, 3: 120, 4: 240}  # by order
+PART = 4096  # reached states whose heights are taken at once
 RIM = 2000  # points of the rim that are looked at in a round
 ROUNDS, TRIES = 400, 25
 BACK, ALIKE = 60, 0.9995  # samples that normals go back; cosine above which two are one
@@ -227,7 +228,10 @@ def _hull(dynamics: Dynamics, reached: FloatArray, low: FloatArray, high: FloatA
     centre = (reached.max(axis=0) + reached.min(axis=0)) / 2
     T = np.linalg.cholesky(np.cov(reached.T).reshape(dynamics.n, dynamics.n) + 1e-9 * np.eye(dynamics.n))
     normals = _normals(dynamics, reached, T, (low + high) / 2)
-    offsets = np.maximum((np.linalg.solve(T, (reached - centre).T).T @ normals.T).max(axis=0), 1e-3)
+    z = np.linalg.solve(T, (reached - centre).T).T
+    # by parts, for all heights at once would be gigabytes
+    heights = [(part @ normals.T).max(axis=0) for part in np.array_split(z, len(z) // PART + 1)]
+    offsets = np.maximum(np.max(heights, axis=0), 1e-3)
     return Region(centre, T, normals, FIRST * offsets, low, high)
 
 

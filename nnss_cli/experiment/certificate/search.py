@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nnss_cli.datasets.record import FloatArray, Scaling
-from nnss_cli.experiment.certificate import attack
+from nnss_cli.experiment.certificate import attack, lmi, multipliers
 from nnss_cli.experiment.certificate.dissipation import storage
 from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.experiment.certificate.equilibria import two_equilibria
+from nnss_cli.experiment.certificate.lti import weighted_norm
 from nnss_cli.experiment.certificate.region import Region, invariant, surrounding
 from nnss_cli.experiment.certificate.result import Gain, Statement
 from nnss_cli.experiment.certificate.statements import ROUNDED, small_gain
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.iterative import named_random
+from nnss_cli.model.incremental import Lure
 
 SHARES = (1.0, 0.5, 0.25)  # of the inputs' range for which a region is sought
 WEAK = (0.5, 0.2, 0.05)  # likewise, of regions that weak inputs do not leave
@@ -27,6 +28,7 @@ CORNERS = 16  # of the box of inputs, each of which a proof takes in turn
 BOXES = 600_000  # most boxes of one proof
 HELD, SIDE_BY_SIDE = 40, 128  # of the simulations that a region is drawn around: samples a level is held, and how many
 LEVELS = 80
+LEVELS_HELD = (0.1, 0.3, 0.7, 0.9)  # of the inputs' range, about which differences are attacked
 PART = (
     0.35,
     0.55,
@@ -72,7 +74,7 @@ def not_searched(system: Neural, bounds: tuple[float, float, float], scaling: Sc
     return Found(gain, differences, None, None, together)
 
 
-BY_DESIGN = "not searched for stability incremental, which has one by construction with --gain"
+NO_MULTIPLIERS = "no storage function with a multiplier for each unit was proved"
 TOGETHER = "trajectories under one input tend together"
 
 
@@ -118,8 +120,10 @@ def search(
     share, incremental = 1.0, found.incremental
     quadratic = state = None
     gain, incremental_gain = found.gain, found.incremental_gain
-    if incremental_gain.status == "unknown":
-        incremental_gain = replace(incremental_gain, how=BY_DESIGN if system.promise.pairs else why)
+    if system.promise.pairs:
+        gain, incremental_gain, incremental, state = _of_layer(system, found, scaling, low, high, until[4])
+    elif incremental_gain.status == "unknown":
+        incremental_gain = replace(incremental_gain, how=why)
     if isinstance(dynamics, Dynamics) and not system.promise.pairs:
         incremental = _pairs(system, dynamics, low, high, _widest(system, bounds, low, high, largest_state))
         refuted = incremental.status == "refuted"
@@ -147,7 +151,13 @@ def search(
                 gain = _better(gain, _of_small_energy(system, dynamics, low, high, scaling, until[4], random))
     if gain.status == "unknown" and not gain.how:
         gain = replace(gain, how=why)
-    gain = _attacked(gain, system, scaling, share * low, share * high, radius, until[5])
+    low, high = share * low, share * high
+    middle = (time.perf_counter() + until[5]) / 2 if incremental_gain.bound else until[5]
+    gain = _attacked(gain, system, scaling, low, high, radius, middle)
+    if incremental_gain.bound:  # what is reached from rest is reached by a pair, of which one is at rest
+        incremental_gain = replace(incremental_gain, attack=gain.attack, attack_physical=gain.attack_physical)
+        levels = tuple(low + (high - low) * part for part in LEVELS_HELD)
+        incremental_gain = _attacked(incremental_gain, system, scaling, low, high, radius, until[5], levels)
     return Found(gain, incremental_gain, quadratic, state, incremental)
 
 
@@ -166,9 +176,7 @@ def _too_much(dynamics: Dynamics) -> str:
         return f"{d} dimensions are too many to be branched on, at most {LARGEST}"
     if 2**dynamics.r > CORNERS:
         return f"{dynamics.r} inputs have too many corners"
-    if importlib.util.find_spec("cvxpy") is None:
-        return "not searched: pip install 'nnss[certify]'"
-    return ""
+    return "" if lmi.available() else lmi.MISSING
 
 
 def _range(low: FloatArray, high: FloatArray) -> str:
@@ -264,6 +272,43 @@ def _of_small_energy(
     return Gain("unknown", None, None, None, None, None, "", why)
 
 
+def _of_layer(
+    system: Neural, found: Found, scaling: Scaling, low: FloatArray, high: FloatArray, deadline: float
+) -> tuple[Gain, Gain, Statement, Statement | None]:
+    """Gain, gain of differences, rate and state of a slope-restricted layer, by one LMI each, for every input."""
+    layer = system.model.generator
+    assert isinstance(layer, Lure)
+    plain = layer.arrays()
+    how = f"one storage function and a multiplier for each unit, {ROUNDED}"
+    gain, differences, incremental = found.gain, found.incremental_gain, found.incremental
+    if not lmi.available():
+        gain, differences = (
+            replace(each, how=lmi.MISSING) if each.bound is None else each for each in (gain, differences)
+        )
+        return gain, differences, incremental, None
+    for slopes in (np.ones(len(plain.G)), multipliers.steepest_secants(plain.b)):
+        from_rest = Gain("unknown", None, None, None, None, None, "", NO_MULTIPLIERS)
+        if (bound := multipliers.gain(plain, slopes, deadline)) is not None:
+            physical = _physical(bound.number, system, scaling)
+            from_rest = Gain("proved", bound.number, physical, None, None, None, "x(0) = 0, every input", how)
+        if (slopes == 1).all():
+            pairs = "one x(0) for both, every two inputs" if bound is not None else ""
+            differences = _better(differences, replace(from_rest, holds_for=pairs))
+        gain = _better(gain, from_rest)
+    slowest = multipliers.rate(plain, deadline)
+    if slowest is None:
+        return gain, differences, incremental, None
+    if system.gamma == 1:  # by construction the distance does not grow, which says less
+        claim = f"‖S⁻¹(x1 − x2)‖ falls by {slowest.number:.8g} a sample"
+        incremental = Statement("incremental", "proved", claim, slowest.number, "every two x(0) and every input", how)
+    reach = weighted_norm(np.hstack([np.zeros_like(plain.A), plain.B + plain.F @ plain.H / 2]), slowest.S)
+    reach += weighted_norm(np.hstack([np.zeros_like(plain.A), plain.F]), slowest.S) * float(np.linalg.norm(plain.H)) / 2
+    largest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
+    size = float(np.linalg.norm(slowest.S, 2) * reach * largest / (1 - slowest.number)) * (1 + 1e-9)
+    where = f"x(0) = 0, inputs within {_range(low, high)}" + _of_records(1.0)
+    return gain, differences, incremental, Statement("state", "proved", f"‖x(k)‖ ≤ {size:.6g}", size, where, how)
+
+
 def _better(one: Gain, other: Gain) -> Gain:
     """The smaller bound; of equal ones the first, which holds for more."""
     if other.bound is None:
@@ -272,23 +317,24 @@ def _better(one: Gain, other: Gain) -> Gain:
 
 
 def _attacked(
-    gain: Gain, system: Neural, scaling: Scaling, low: FloatArray, high: FloatArray, radius: float, deadline: float
-) -> Gain:
-    found = attack.largest_gain(
-        system.in_elementary_operations(),
-        system.run,
-        low,
-        high,
-        attack.horizon(radius),
-        named_random(0, "gain"),
-        deadline,
-    )
-    physical = None
-    if not system.integrates:
-        size = float(np.linalg.norm(found.u * scaling.u_std))
-        physical = float(np.linalg.norm(found.y * scaling.y_std)) / size if size > 0 else 0.0
-    tightness = found.ratio / gain.bound if gain.bound else None
-    return replace(gain, attack=found.ratio, attack_physical=physical, tightness=tightness)
+    gain: Gain, system: Neural, scaling: Scaling, low: FloatArray, high: FloatArray, radius: float, deadline: float,
+    held: tuple[FloatArray | None, ...] = (None,),
+) -> Gain:  # fmt: skip
+    """The gain with the largest ratio that attacks reach, if that is more than is told of already."""
+    for i, level in enumerate(held):
+        now = time.perf_counter()
+        found = attack.largest_gain(
+            system.in_elementary_operations(), system.run, low, high, attack.horizon(radius), named_random(0, "gain"),
+            now + (deadline - now) / (len(held) - i), level,
+        )  # fmt: skip
+        if gain.attack is not None and not found.ratio > gain.attack:
+            continue
+        physical = None
+        if not system.integrates:
+            size = float(np.linalg.norm(found.u * scaling.u_std))
+            physical = float(np.linalg.norm(found.y * scaling.y_std)) / size if size > 0 else 0.0
+        gain = replace(gain, attack=found.ratio, attack_physical=physical)
+    return replace(gain, tightness=gain.attack / gain.bound if gain.bound and gain.attack is not None else None)
 
 
 def _pairs(system: Neural, dynamics: Dynamics, low: FloatArray, high: FloatArray, radius: float) -> Statement:
