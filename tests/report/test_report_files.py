@@ -198,7 +198,8 @@ def test_a_report_has_a_section_for_each_comparison_and_one_over_all_of_a_protoc
     text = path.read_text(encoding="utf-8")
     heads = [line for line in text.splitlines() if line.startswith(("# ", "## "))]
     assert heads == [
-        "# Comparison of identification methods", "## All datasets, protocol `own`", "## All datasets, protocol `paper`",
+        "# Comparison of identification methods", "## All datasets, protocol `own`",
+        "## All datasets, protocol `paper`",
         "## plant, protocol `own`", "## plant, protocol `paper`", "## tank, protocol `own`",
     ]  # fmt: skip
     assert text.count("What a reader of protocol `paper` must know") == 1
