@@ -54,7 +54,7 @@ INSIDE = ("datasets", "baselines")  # top-level folders that are installed insid
 
 LIBRARIES = (
     "numpy", "pandas", "pydantic", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "tabulate", "torch",
-    "typer", "matplotlib.backends.backend_agg", "matplotlib.pyplot", "hypothesis", "pytest",
+    "typer", "matplotlib.backends.backend_agg", "matplotlib.pyplot",
 )  # fmt: skip
 """Loaded before the fork: each mutant would spend seconds on them."""
 
