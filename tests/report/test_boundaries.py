@@ -146,6 +146,14 @@ def test_orders_that_less_than_half_ran_are_left_out_of_ranks() -> None:
     assert left_out == ["a, order 3: run by nnss alone"]
 
 
+def test_three_of_seven_methods_are_less_than_half() -> None:
+    names = ["nnss", "n4sid", "ssest", "simba", "ssregest", "mine", "theirs"]
+    runs = [run(m, order=2, test=4.0) for m in names] + [run(m, order=3, test=1.0) for m in names[:3]]
+    table, left_out = record_table(runs)
+    assert set(table.loc["a"]) == {4.0}
+    assert left_out == ["a, order 3: run by n4sid, nnss, ssest alone"]
+
+
 def test_a_method_without_a_record_has_no_rank_and_one_of_several_sets_counts_once() -> None:
     runs = [
         run("nnss", test_a=1.0, test_b=3.0),
