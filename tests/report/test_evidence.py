@@ -96,6 +96,18 @@ def test_a_printed_value_is_met_within_half_of_its_last_digit() -> None:
     assert (row["difference"], row["verdict"]) == ("+2 %", "reproduced")
 
 
+@pytest.mark.parametrize(
+    ("error", "verdict"), [(0.0249, "reproduced"), (0.0251, "worse"), (0.0151, "reproduced"), (0.0149, "better")]
+)
+def test_what_is_printed_with_two_digits_stands_for_all_that_are_rounded_to_it(
+    error: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = pd.DataFrame([("twotank", 3, "nnss", "y1", "test", 0.02)], columns=PRINTED.columns)
+    monkeypatch.setattr(evidence, "paper_table", lambda: table)
+    (row,) = paper_rows([run("nnss", 0, val=1.0, test=error)])
+    assert row["verdict"] == verdict
+
+
 def test_where_no_test_is_the_paper_is_met_on_validation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evidence, "paper_table", lambda: PRINTED)
     (row,) = paper_rows([run("nnss", 0, train=1.0, val=0.5), run("nnss", 1, train=0.1, val=0.6)])

@@ -160,3 +160,14 @@ def test_a_part_is_said_to_be_one_above_its_first_panel_alone() -> None:
     (marked,) = low.patches
     assert (marked.get_x(), marked.get_width()) == (5.0, 3.0)
     figures.close_figure(figure)
+
+
+def test_curves_begin_at_the_left_end_and_values_have_a_few_ticks() -> None:
+    figure = simulation(residuals=True)
+    for panel in figure.axes:
+        low, high = panel.get_xlim()
+        assert (low, high) == (pytest.approx(-0.29), pytest.approx(29.29))  # a hundredth on either side
+        assert (
+            2 <= len([tick for tick in panel.get_yticks() if panel.get_ylim()[0] <= tick <= panel.get_ylim()[1]]) <= 5
+        )
+    figures.close_figure(figure)

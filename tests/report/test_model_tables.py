@@ -128,3 +128,13 @@ def test_a_run_is_told_without_what_is_empty() -> None:
         "status": "failed", "reason": "why", "fit [s]": "0.5", "epochs": "0", "data": "d", "hidden": "[3]",
         "notes": "a b", "remarks": "c d", "folder": "f",
     }  # fmt: skip
+
+
+def test_the_error_of_a_group_is_on_its_first_test_set_with_three_digits() -> None:
+    one = entry("a", "own", "nnss", 2)
+    one.result.scores = tuple(
+        SimpleNamespace(split=split, output="y1", rmse=rmse, nrmse=9.0)
+        for split, rmse in (("train", 7.0), ("calm", 1.23456), ("rough", 5.0))
+    )
+    (row,) = group_rows([one])
+    assert row["test"] == "1.23"

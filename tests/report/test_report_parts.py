@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -161,3 +162,17 @@ def test_root_mean_squares_are_by_pieces() -> None:
     time, values = rms(np.arange(400.0), np.full(400, -2.0))
     assert (len(time), time[-1]) == (BINS // 3, 395.0)
     assert values == pytest.approx(np.full(BINS // 3, 2.0))
+
+
+def test_a_box_plot_is_given_each_splits_own_errors(result: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+    monkeypatch.setattr(build.figures, "draw_boxplot", lambda *args: given.append(args))
+    one = result("nnss", tests=("a", "b", "c"))
+    scores = tuple(replace(score, rmse=float(i)) for i, score in enumerate(one.scores))
+    build._boxplot([replace(one, scores=scores), result("ssest", order=3, tests=("b",), error=9.0)])
+    ((values, labels, _, titles, _),) = given
+    assert values == {
+        "a/y1": {"nnss": {2: [2.0]}}, "b/y1": {"nnss": {2: [3.0]}, "ssest": {3: [9.0]}}, "c/y1": {"nnss": {2: [4.0]}},
+    }  # fmt: skip
+    assert labels == dict.fromkeys(values, "RMSE [m]")
+    assert titles == {"a/y1": "test a", "b/y1": "test b", "c/y1": "test c"}

@@ -38,6 +38,7 @@ def test_no_more_ticks_than_asked_for() -> None:
     assert log_ticks(1, 100, most=5) == [1, 3, 10, 30, 100]
     assert log_ticks(1, 100, most=4) == [1, 10, 100]
     assert log_ticks(1, 1e5, most=2) == pytest.approx([1, 1e3])
+    assert log_ticks(9, 101, most=2) == [10, 100]  # two will do where they are decades
 
 
 @pytest.mark.parametrize(
