@@ -30,6 +30,7 @@ import time
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -50,6 +51,12 @@ FOLDERS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 STRUCTURE = "tests/test_structure.py::test_dataclasses_are_frozen"  # judges every folder
 INSIDE = ("datasets", "baselines")  # top-level folders that are installed inside the package
+
+LIBRARIES = (
+    "numpy", "pandas", "pydantic", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "tabulate", "torch",
+    "typer", "matplotlib.backends.backend_agg", "matplotlib.pyplot",
+)  # fmt: skip
+"""Loaded before the fork: each mutant would spend seconds on them."""
 
 # On numbers >>, |, & and ^ in the place of arithmetic raise a TypeError: kills that say nothing of the tests.
 TRIVIAL = re.compile(r"BinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(RShift|LShift|BitOr|BitAnd|BitXor)")
@@ -355,8 +362,9 @@ def tell(group: str, verdicts: Sequence[Verdict]) -> None:
 
 
 def load_libraries() -> None:
-    """What the package loads, once for all mutants; not the package itself."""
-    import typer  # noqa: F401
+    """What the package and its tests load, once for all mutants; not the package itself."""
+    for name in LIBRARIES:
+        import_module(name)
 
 
 def main() -> None:

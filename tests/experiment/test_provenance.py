@@ -35,7 +35,7 @@ def changed(store: Store, **entries: str | None) -> list[RunResult]:
     path = store.folder / "runs" / "n4sid-n1-s0" / "run.json"
     content = json.loads(path.read_text())
     for name, value in entries.items():
-        content["provenance"].pop(name) if value is None else content["provenance"].update({name: value})
+        content["provenance"].pop(name, None) if value is None else content["provenance"].update({name: value})
     path.write_text(json.dumps(content))
     return store.read().results
 

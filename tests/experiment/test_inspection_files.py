@@ -1,0 +1,202 @@
+"""Files as an inspection takes them: roles by name, by exclusion or as given, and the description that follows."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from nnss_cli.datasets.description import read_description
+
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.inspection_files import Roles, Seen, assign_roles, examine_files, suggested
+from nnss_cli.experiment.inspection_split import Part, Split
+
+
+def table(*columns: str, **more: Any) -> pd.DataFrame:
+    return pd.DataFrame({name: [1.0, 2.0] for name in columns} | more)
+
+
+def roles(frame: pd.DataFrame, **fields: Any) -> tuple[Any, ...]:
+    found = assign_roles(frame, {"Ts": 1.0} | fields)
+    return found.inputs, found.outputs, found.time
+
+
+@pytest.mark.parametrize(
+    ("columns", "inputs", "outputs"),
+    [
+        (("u", "y"), ("u",), ("y",)), (("y", "u"), ("u",), ("y",)), (("U1", "in_2", "input 3", "Out", "y[m]"),
+         ("U1", "in_2", "input 3"), ("Out", "y[m]")),
+        (("valve", "level"), ("valve",), ("level",)), (("a", "b", "c"), ("a", "b"), ("c",)),
+        (("u", "a", "b"), ("u",), ("a", "b")), (("y", "a", "b"), ("a", "b"), ("y",)),
+        (("inlet", "youth"), ("inlet",), ("youth",)),  # no words of their own: the last is the output
+        (("level",), (), ("level",)),
+    ],
+)  # fmt: skip
+def test_roles_are_guessed_by_name_and_else_the_last_column_is_the_output(
+    columns: tuple[str, ...], inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> None:
+    assert roles(table(*columns)) == (inputs, outputs, None)
+    (guess,) = assign_roles(table(*columns), {"Ts": 1.0}).guesses
+    assert guess == (
+        f"Taken for inputs: {', '.join(inputs) or 'none'}; for outputs: {', '.join(outputs)}: "
+        "--inputs and --outputs say otherwise."
+    )
+
+
+def test_what_is_given_is_not_guessed() -> None:
+    frame = table("u", "a", "y")
+    found = assign_roles(frame, {"Ts": 1.0, "inputs": ("y",), "outputs": ("a",)})
+    assert (found.inputs, found.outputs, found.guesses) == (("y",), ("a",), ())
+    assert roles(frame, inputs=("a",)) == (("a",), ("u", "y"), None)
+    assert roles(frame, outputs=("u",)) == (("a", "y"), ("u",), None)
+    with pytest.raises(InputError, match="none"):
+        roles(frame, inputs=("none",))
+
+
+@pytest.mark.parametrize("name", ["t", "T", "time", "Time [s]", "timestamp", "date", "t_1"])
+def test_a_column_of_that_name_is_the_time_unless_there_is_a_sampling_time(name: str) -> None:
+    frame = table(name, "u", "y")
+    found = assign_roles(frame, {})
+    assert (found.inputs, found.outputs, found.time) == (("u",), ("y",), name)
+    assert found.guesses[0] == f"Column '{name}' is taken for the time: --time or --ts says otherwise."
+    assert assign_roles(frame, {"Ts": 1.0}).time is None
+    assert assign_roles(frame, {"inputs": (name,)}).time is None
+    assert assign_roles(table("tank", "u", "y"), {}).time is None
+
+
+def test_a_column_of_dates_is_the_time_whatever_its_name() -> None:
+    frame = table("u", "y", when=pd.to_datetime(["2020-01-01", "2020-01-02"]))
+    assert assign_roles(frame, {}).time == "when"
+    named = assign_roles(table("t", "u", "y"), {"time": "u"})
+    assert (named.time, named.inputs, named.outputs) == ("u", ("t",), ("y",))
+    assert len(named.guesses) == 1
+
+
+@pytest.mark.parametrize(
+    ("cells", "numbers"), [(["a", "1", "2"], True), (["a", "b", "2", "1"], False), (["a"] * 3, False)]
+)
+def test_a_column_is_one_of_numbers_when_more_than_half_of_its_cells_are(cells: list[str], numbers: bool) -> None:
+    frame = pd.DataFrame({"u": np.arange(float(len(cells))), "y": np.arange(float(len(cells)))})
+    frame["mixed"] = pd.Series(cells, dtype=object)
+    found = assign_roles(frame, {"Ts": 1.0})
+    words = [line for line in found.guesses if line.startswith("Left out")]
+    assert words == ([] if numbers else ["Left out, since they hold no numbers: mixed."])
+    whole = pd.DataFrame({"u": [1, 2], "flag": [True, False], "y": [0.5, 1.0]})
+    assert assign_roles(whole, {"Ts": 1.0, "inputs": ("u", "flag")}).outputs == ("y",)
+
+
+def test_without_a_column_for_an_output_it_is_said_what_there_is() -> None:
+    frame = table("u", "v")
+    frame.attrs["source"] = "a.csv"
+    with pytest.raises(InputError, match=r"'a\.csv': expected a column of numbers as output, found u, v; name it"):
+        assign_roles(frame, {"Ts": 1.0, "inputs": ("u", "v")})
+
+
+# files
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(("a b.csv", "c.csv")):
+        u, y = np.random.default_rng(seed).standard_normal((2, 60))
+        rows = "\n".join(f"{0.5 * k},{one},{two}" for k, (one, two) in enumerate(zip(u, y, strict=True)))
+        Path(name).write_text(f"t,u [V],y\n{rows}\n", encoding="utf-8")
+    return tmp_path
+
+
+def test_files_are_experiments_with_units_from_their_names(here: Path) -> None:
+    seen = examine_files(["a b.csv", "c.csv"], {})
+    assert (seen.name, seen.found.samples, seen.found.clock.Ts) == ("a-b", (60, 60), 0.5)
+    assert [(c.name, c.role, c.unit) for c in seen.found.channels] == [("u [V]", "input", "V"), ("y", "output", "–")]
+    assert len(seen.guesses) == 2
+    told = examine_files(["c.csv"], {"name": "mine", "Ts": 2.0, "inputs": ("u [V]",), "outputs": ("y",),
+                                     "input_units": ("mV",), "output_units": ("m",)})  # fmt: skip
+    assert (told.name, told.found.clock.Ts, told.found.samples) == ("mine", 2.0, (60,))
+    assert [c.unit for c in told.found.channels] == ["mV", "m"]
+    with pytest.raises(InputError, match=r"input_units: expected one for each of u \[V\], found 2"):
+        examine_files(["c.csv"], {"input_units": ("a", "b")})
+
+
+def test_a_description_is_inspected_alone_and_what_is_given_goes_before_it(here: Path) -> None:
+    (here / "x.toml").write_text(
+        'name = "described"\nfiles = ["c.csv"]\ninputs = ["u [V]"]\noutputs = ["y"]\n'
+        'time = "t"\noutput_units = ["m"]\n',
+        encoding="utf-8",
+    )
+    seen = examine_files(["x.toml"], {})
+    assert (seen.name, seen.found.clock.Ts, seen.guesses) == ("described", 0.5, ())
+    assert [c.unit for c in seen.found.channels] == ["V", "m"]
+    assert examine_files(["x.toml"], {"name": "own", "output_units": ("K",)}).found.channels[1].unit == "K"
+    for names in (["x.toml", "c.csv"], ["c.csv", "x.toml"]):
+        with pytest.raises(InputError, match="a description is inspected alone, found 2 files"):
+            examine_files(names, {})
+
+
+# what is recommended
+
+
+def seen(split: Split, time: str | None = "t", inputs: tuple[str, ...] = ("u",), init_window: int = 3) -> Seen:
+    found: Any = SimpleNamespace(split=split, init_window=init_window, orders=(1, 2))
+    return Seen("mine", found, Roles(inputs, ("y",), time, ()))
+
+
+def described(folder: Path, of: Seen, names: list[str], **own: Any) -> Any:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    target = folder / "x.toml"
+    target.write_text(suggested(of, [str(folder / name) for name in names], own, target), encoding="utf-8")
+    return read_description(target)
+
+
+def whole(*experiments: int) -> tuple[Part, ...]:
+    return tuple(Part(e, 0, 10) for e in experiments)
+
+
+def test_whole_experiments_are_described_by_their_files(tmp_path: Path) -> None:
+    split = Split("whole experiments", whole(0, 1), whole(2), whole(3), ())
+    found = described(tmp_path, seen(split), ["a.csv", "b.csv", "c.csv", "d.csv"], input_units=("V",))
+    assert (found.files, found.val, found.test) == (("a.csv", "b.csv"), ("c.csv",), {"test": ("d.csv",)})
+    assert (found.name, found.inputs, found.outputs, found.input_units) == ("mine", ("u",), ("y",), ("V",))
+    assert (found.time, found.Ts, found.init_window, found.orders) == ("t", None, 3, (1, 2))
+
+
+def test_shares_of_one_experiment_are_described_by_percents(tmp_path: Path) -> None:
+    split = Split("50/30/20 in time order", (Part(0, 0, 5),), (Part(0, 5, 8),), (Part(0, 8, 10),), ())
+    found = described(tmp_path, seen(split, time=None, init_window=0), ["deep/a.csv"], Ts=0.25)
+    assert (found.files, found.split, found.val, found.test) == (("deep/a.csv",), "50/30/20", (), {})
+    assert (found.Ts, found.time, found.init_window, found.allow_outside) == (0.25, None, 1, False)
+
+
+def test_of_two_experiments_the_second_tests(tmp_path: Path) -> None:
+    split = Split("the second experiment tests", (Part(0, 0, 7),), (Part(0, 7, 10),), whole(1), ())
+    found = described(tmp_path, seen(split), ["a.csv", "b.csv"])
+    assert (found.files, found.val, found.test) == (("a.csv",), (), {"test": ("b.csv",)})
+
+
+def test_files_elsewhere_are_allowed_by_name(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "a.csv").touch()
+    target = tmp_path / "in" / "x.toml"
+    split = Split("none", (), (), (), ())
+    text = suggested(seen(split), [str(tmp_path / "a.csv")], {}, target)
+    assert str(tmp_path / "a.csv") in text
+    assert "allow_outside = true" in text
+
+
+@pytest.mark.parametrize(
+    ("names", "of", "message"),
+    [
+        (["a.TOML"], {}, "'a.TOML' is a description already"),
+        (["a.csv"], {"time": None}, "--ts: expected the sampling"),
+        (["a.csv"], {"inputs": ()}, "--inputs: expected at least one input"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_described_is_refused(
+    names: list[str], of: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        suggested(seen(Split("none", (), (), (), ()), **of), names, {}, tmp_path / "x.toml")

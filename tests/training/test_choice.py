@@ -1,0 +1,286 @@
+"""Which candidate is taken, with what it goes on and what is told: by scripted candidates, without any training."""
+
+import math
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from nnss_cli.datasets.record import Dataset, FittingData, Record
+
+from nnss_cli.errors import InputError
+from nnss_cli.training import fit as module
+from nnss_cli.training.fit import begin, train_nnss
+from nnss_cli.training.recipe import Recipe, recipe_of
+
+BEST = recipe_of("best", {}, 2).replace(
+    feedthrough="auto", integrator="auto", lead=0, judge="validation", scheduling="auto"
+)
+
+
+class Candidates:
+    """In the place of attempts: what each comes to is scripted, what each is given is kept."""
+
+    def __init__(self, errors: Sequence[float], weights: int = 1, epochs: int = 3, costs: float = 0.0) -> None:
+        self.errors, self.weights, self.epochs, self.costs = iter(errors), weights, epochs, costs
+        self.made: list[Any] = []
+        self.now = 0.0
+
+    def attempt(
+        self, data: Any, order: int, seed: int, recipe: Recipe, train: Any, val: Any, rival: float, clock: Any,
+        on_epoch: Any,
+    ) -> Any:  # fmt: skip
+        integrator = recipe.integrator == "yes"
+        one = SimpleNamespace(
+            recipe=recipe, order=order, seed=seed, records=train, held=val, rival=rival, error=next(self.errors),
+            samples=0,
+            model=SimpleNamespace(architecture=SimpleNamespace(integrator=integrator, weights=self.weights)),
+            watch=SimpleNamespace(losses=[], diverged=""), trained=[], told=[], on_epoch=on_epoch,
+        )  # fmt: skip
+
+        def go(records: Any, epochs: int) -> None:
+            one.trained.append((sum(map(len, records)), epochs))
+            one.watch.losses += [1.0] * self.epochs
+            one.samples = sum(map(len, records))
+            self.now += self.costs
+            if on_epoch:
+                on_epoch(1, 0.5, 0.25)
+
+        def end(remarks: tuple[str, ...], candidates: dict[str, float]) -> Any:
+            return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates)
+
+        one.train, one.training = go, end
+        self.made.append(one)
+        return one
+
+
+@pytest.fixture
+def choose(small_data: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """`train_nnss` on scripted candidates; gives what came of it, and the candidates."""
+    data = small_data(K=600).fitting
+
+    def chosen(
+        found: Candidates, names: tuple[str, ...], recipe: Recipe = BEST, on_epoch: Any = None, data: FittingData = data
+    ) -> Any:
+        monkeypatch.setattr(module, "_Attempt", found.attempt)
+        monkeypatch.setattr(module, "worth_trying", lambda *_: names)
+        monkeypatch.setattr(module.time, "monotonic", lambda: found.now)
+        return train_nnss(data, 2, 7, recipe, on_epoch)
+
+    return chosen
+
+
+def test_without_alternatives_the_simplest_is_taken_and_nothing_told(choose: Callable) -> None:
+    found = Candidates([1.0])
+    came = choose(found, ())
+    (one,) = found.made
+    assert came.taken is one
+    assert (one.recipe, one.order, one.seed, one.rival) == (BEST.simplest(), 2, 7, math.inf)
+    assert one.trained == [(200, BEST.epochs)]
+    assert (came.remarks, came.candidates) == ((), {})
+
+
+def test_an_alternative_is_a_change_of_the_best_so_far_and_its_rival_is_that_ones_error(choose: Callable) -> None:
+    found = Candidates([1.0, 0.7, 0.69, 0.5])
+    told: list[int] = []
+    came = choose(found, ("feedthrough", "integrator", "scheduling"), on_epoch=lambda epoch, *_: told.append(epoch))
+    assert [one.rival for one in found.made] == [math.inf, 1.0, 0.7, 0.7]
+    fields = [(one.recipe.feedthrough, one.recipe.integrator, one.recipe.scheduling) for one in found.made]
+    assert fields == [("no", "no", "x"), ("yes", "no", "x"), ("yes", "yes", "x"), ("yes", "no", "x+u")]
+    assert came.taken is found.made[3]
+    assert came.candidates == {
+        "as it is": 1.0, "feedthrough": 0.7, "feedthrough with integrator": 0.69,
+        "feedthrough with scheduling on u": 0.5,
+    }  # fmt: skip
+    assert came.remarks == (
+        "feedthrough taken: it lowers the validation error by more than 20%",
+        "feedthrough with scheduling on u taken: it lowers the validation error by more than 20%",
+    )
+    assert told == [1, 4, 7, 10]  # three epochs of each before
+
+
+@pytest.mark.parametrize(("error", "taken"), [(0.8, 0), (0.79, 1), (math.inf, 0)])
+def test_one_must_pay(error: float, taken: int, choose: Callable) -> None:
+    found = Candidates([1.0, error])
+    assert choose(found, ("feedthrough",)).taken is found.made[taken]
+
+
+def test_only_the_one_taken_goes_through_the_other_stages(choose: Callable) -> None:
+    found = Candidates([1.0, 0.1])
+    choose(found, ("feedthrough",), BEST.replace(lead=20, epochs=9))
+    first, second = found.made
+    assert first.trained == [(20, 9)]
+    assert second.trained == [(20, 9), (80, 4), (200, 2)]
+
+
+def test_one_that_diverged_goes_through_no_other_stage(choose: Callable) -> None:
+    found = Candidates([math.inf])
+    attempt = found.attempt
+
+    def diverging(*args: Any) -> Any:
+        one = attempt(*args)
+        one.watch.diverged = "ran away"
+        return one
+
+    found.attempt = diverging  # type: ignore[method-assign]
+    came = choose(found, (), BEST.replace(lead=20))
+    assert [each.trained for each in found.made] == [[(20, BEST.epochs)]]
+    assert came.remarks == ()
+
+
+def test_an_integrator_that_won_is_not_changed_into_what_cannot_train_one(choose: Callable) -> None:
+    found = Candidates([1.0, 0.1])
+    came = choose(found, ("integrator", "initial"))
+    assert len(found.made) == 2
+    assert list(came.candidates) == ["as it is", "integrator"]
+    found = Candidates([1.0, 0.9, 0.1])
+    came = choose(found, ("integrator", "initial"))
+    assert came.taken.recipe.optimiser == "adam"
+    assert came.remarks == ("cold start taken: it lowers the validation error by more than 20%",)
+
+
+def test_judged_by_blocks_each_part_is_trained_on_the_others(choose: Callable) -> None:
+    found = Candidates([1.0, 2.0, 0.1, 0.2])
+    came = choose(found, ("feedthrough",), BEST.replace(judge="blocks"))
+    parts = len(found.made) // 2
+    assert parts == 2
+    assert [one.rival for one in found.made] == [math.inf, math.inf, 1.0, 2.0]
+    assert came.taken is found.made[2]  # the one that validation judges
+    lengths = [sum(map(len, one.held)) for one in found.made[:2]]
+    expected = math.sqrt((lengths[0] * 1.0 + lengths[1] * 4.0) / sum(lengths))
+    assert came.candidates["as it is"] == pytest.approx(expected)
+    assert came.remarks == ("feedthrough taken: it lowers the error over 2 blocks by more than 20%",)
+
+
+def test_a_budget_leaves_out_what_it_has_no_time_for(choose: Callable) -> None:
+    found = Candidates([1.0, 0.1], costs=3.0)
+    came = choose(found, ("feedthrough", "integrator"), BEST.replace(budget=5.0, lead=20))
+    assert len(found.made) == 2
+    assert came.taken is found.made[1]
+    assert found.made[1].trained == [(20, BEST.epochs)]
+    assert came.remarks == (
+        "feedthrough taken: it lowers the validation error by more than 20%",
+        "stopped by the budget of 5 s, without integrator, stage of 80 samples, stage of 200 samples",
+    )
+    exactly = choose(Candidates([1.0], costs=5.0), (), BEST.replace(budget=5.0))
+    assert exactly.remarks == ()
+    over = choose(Candidates([1.0], costs=5.5), (), BEST.replace(budget=5.0))
+    assert over.remarks == ("stopped by the budget of 5 s",)
+
+
+def test_what_a_budget_cut_short_on_some_block_is_not_judged(choose: Callable) -> None:
+    found = Candidates([1.0, 1.0, 0.1, 0.1], costs=2.0)
+    came = choose(found, ("feedthrough",), BEST.replace(judge="blocks", budget=5.0))
+    assert came.taken is found.made[0]
+    assert came.candidates == {}
+    assert came.remarks == ("stopped by the budget of 5 s, without feedthrough",)
+    assert [len(one.trained) for one in found.made] == [1, 1, 1, 0]
+
+
+def test_a_budget_that_the_start_alone_takes_is_refused(choose: Callable) -> None:
+    found = Candidates([1.0])
+    attempt = found.attempt
+
+    def slow(*args: Any) -> Any:
+        found.now += 6.0
+        return attempt(*args)
+
+    found.attempt = slow  # type: ignore[method-assign]
+    with pytest.raises(InputError, match=r"budget: 5 s are too few for one candidate, whose start alone took 6\.0 s"):
+        choose(found, (), BEST.replace(budget=5.0))
+
+
+@pytest.mark.parametrize(("weights", "optimiser", "told"), [
+    (200, "gauss-newton", False), (201, "gauss-newton", True), (201, "lbfgs", False),
+])  # fmt: skip
+def test_more_weights_than_measured_outputs_are_told_of_gauss_newton(
+    weights: int, optimiser: str, told: bool, choose: Callable
+) -> None:
+    came = choose(Candidates([1.0], weights=weights), (), BEST.replace(optimiser=optimiser, integrator="no"))
+    said = f"{weights} weights for 200 measured outputs: take a lower order or --hidden, or more samples"
+    assert came.remarks == (said,) * told
+
+
+# starts
+
+
+class Starts:
+    """In the place of what makes starts: each fails as it is told, and is noted."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, fails: Sequence[str] = (), refused: bool = False) -> None:
+        self.seen: list[str] = []
+        for name, where in (
+            ("linear_start", "SSEST"), ("feedback_start", "feedback"), ("warm_start", "warm"),
+            ("linear_layer", "layer"),
+        ):  # fmt: skip
+            monkeypatch.setattr(module, name, self.step(where, where in fails, where != "feedback" or not refused))
+        monkeypatch.setattr(module, "waiting_for", lambda what: self.seen.append(f"waits for {what}"))
+
+    def step(self, name: str, fails: bool, gives: bool) -> Callable[..., Any]:
+        def run(*_: Any) -> Any:
+            self.seen.append(name)
+            if fails:
+                raise ValueError(f"no\n {name}")
+            return gives
+
+        return run
+
+
+class Model:
+    """A model that counts how often its weights were drawn."""
+
+    def __init__(self, stability: str = "schur") -> None:
+        self.architecture = SimpleNamespace(
+            integrator=False, order=2, gamma=1.0, feedthrough=False, stability=stability
+        )
+        self.drawn = 0
+
+    def initialise(self, random: np.random.Generator) -> None:
+        self.drawn += 1
+
+
+RECORDS = (Record(np.arange(8.0)[:, None], np.arange(8.0)[:, None], 1.0),)
+
+
+@pytest.mark.parametrize(
+    ("initial", "fails", "refused", "start", "remarks", "drawn"),
+    [
+        ("random", (), False, "random", (), 1), ("linear", (), False, "linear", (), 1),
+        ("feedback", (), False, "feedback", (), 1),
+        ("feedback", ("SSEST",), False, "random", ("SSEST failed (no SSEST): started from random weights",), 1),
+        ("linear", ("warm",), False, "random", ("linear start failed (no warm): started from random weights",), 2),
+        ("feedback", (), True, "linear",
+         ("feedback start refused: no iterate validated better than the linear model",), 1),
+        ("feedback", ("feedback",), False, "linear",
+         ("feedback start failed (no feedback): started from the linear model",), 2),
+        ("feedback", ("feedback", "warm"), False, "random",
+         ("feedback start failed (no feedback): started from the linear model",
+          "linear start failed (no warm): started from random weights"), 3),
+    ],
+)  # fmt: skip
+def test_a_start_that_fails_gives_way_to_the_next_and_that_is_told(
+    initial: str, fails: tuple[str, ...], refused: bool, start: str, remarks: tuple[str, ...], drawn: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    Starts(monkeypatch, fails, refused)
+    model = Model()
+    assert begin(model, initial, RECORDS, RECORDS, 0) == (start, remarks)  # type: ignore[arg-type]
+    assert model.drawn == drawn
+
+
+@pytest.mark.parametrize(("stability", "made"), [("incremental", "layer"), ("schur", "warm"), ("quadratic", "warm")])
+def test_a_linear_start_is_made_as_the_stability_asks(
+    stability: str, made: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = Starts(monkeypatch)
+    assert begin(Model(stability), "linear", RECORDS, RECORDS, 0)[0] == "linear"  # type: ignore[arg-type]
+    assert starts.seen == ["waits for SSEST, to start from", "SSEST", made]
+
+
+def test_a_constant_channel_is_named_once_where_a_start_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    Starts(monkeypatch, ["SSEST"])
+    still = (Record(np.ones((8, 1)), np.arange(8.0)[:, None], 1.0),)
+    _, (remark,) = begin(Model(), "linear", still, still, 0)  # type: ignore[arg-type]
+    (name,) = module.constant_channels(still)
+    assert remark == f"SSEST failed (no SSEST; {name} is constant): started from random weights"
