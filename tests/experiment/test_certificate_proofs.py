@@ -14,12 +14,14 @@ from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.elementary import NUMPY, Node
 from nnss_cli.experiment.certificate import attack, certify, lti
+from nnss_cli.experiment.certificate import search as searched
 from nnss_cli.experiment.certificate.affine import OPERATIONS, Affine, over_boxes
 from nnss_cli.experiment.certificate.branch import prove
 from nnss_cli.experiment.certificate.dissipation import _proved, _Search, storage
 from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.experiment.certificate.equilibria import equilibrium
 from nnss_cli.experiment.certificate.region import Region, directions, invariant, inverse, never_left, surrounding
+from nnss_cli.experiment.certificate.result import Gain
 from nnss_cli.experiment.certificate.statements import small_gain
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import STABILITIES, Architecture
@@ -303,6 +305,16 @@ def test_weak_inputs_stay_where_the_storage_function_was_proved() -> None:
     assert float(np.abs(found.S[0, 0]) * level) == pytest.approx(3 * 1.03, rel=1e-3)  # the rim, from within
     # the weakest input that leads to the rim has the energy of the reachability Gramian, and that is allowed no more
     assert level / found.number <= 3.1 * math.sqrt(1 - 0.9**2)
+
+
+def test_an_attack_is_not_held_against_a_bound_for_weaker_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = Gain("proved", 9.0, 9.0, None, None, None, "x(0) = 0, ‖u‖₂ ≤ 0.1", "")
+    monkeypatch.setattr(searched, "_region", lambda *_: (None, 1.0))
+    monkeypatch.setattr(searched, "_of_small_energy", lambda *_: weak)
+    found = certify(bent(gamma=1.0), {"train": (record(),)}, steps=0, budget=1).gain
+    assert (found.bound, found.holds_for) == (9.0, weak.holds_for)
+    assert found.attack is not None
+    assert found.tightness is None
 
 
 @pytest.mark.parametrize("pole", [0.5, -0.9, 0.999])

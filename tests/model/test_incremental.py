@@ -289,7 +289,7 @@ def worst_over_promise(pairs: int, seed: int, steps: int = 60) -> float:
 def ascended(model: NNSS, u: np.ndarray, x: np.ndarray, others: np.ndarray, first: int, ascents: int = 8) -> np.ndarray:
     """Inputs by gradient ascent of the distance after some samples, as large as those given."""
     at, reach = torch.tensor(u.transpose(2, 0, 1)), torch.tensor(np.abs(u).max(axis=(0, 1)))[:, None, None]
-    starts = [torch.tensor(part[:, first : 2 * first].T.copy()) for part in (x, others)]
+    starts = [torch.tensor(part[:, first : first + len(at)].T.copy()) for part in (x, others)]
     unused = torch.zeros(len(at), model.architecture.outputs, dtype=torch.float64)
     for _ in range(ascents):
         at.requires_grad_(True)

@@ -60,7 +60,7 @@ class Gain:
     attack_physical: float | None
     """The same in physical units."""
     tightness: float | None
-    """attack/bound, 1 at best; None where either is missing."""
+    """attack/bound, 1 at best; None where either is missing, or the bound is of weaker inputs than the attack's."""
     holds_for: str
     """For which initial states and inputs the bound holds, or, without one, among which the attack was made."""
     how: str

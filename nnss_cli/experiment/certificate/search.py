@@ -117,6 +117,7 @@ def search(
     dynamics = system.dynamics()
     why = dynamics if isinstance(dynamics, str) else _too_much(dynamics)
     region: Region | None = None
+    weak: Gain | None = None
     share, incremental = 1.0, found.incremental
     quadratic = state = None
     gain, incremental_gain = found.gain, found.incremental_gain
@@ -148,12 +149,16 @@ def search(
             else:
                 why = "no region was found that inputs within the records' range do not leave"
                 incremental_gain = replace(incremental_gain, how=why)
-                gain = _better(gain, _of_small_energy(system, dynamics, low, high, scaling, until[4], random))
+                weak = _of_small_energy(system, dynamics, low, high, scaling, until[4], random)
+                gain = _better(gain, weak)
     if gain.status == "unknown" and not gain.how:
         gain = replace(gain, how=why)
     low, high = share * low, share * high
     middle = (time.perf_counter() + until[5]) / 2 if incremental_gain.bound else until[5]
+    only_weak = gain is weak
     gain = _attacked(gain, system, scaling, low, high, radius, middle)
+    if only_weak:  # the attack's inputs are not among those that the bound is of
+        gain = replace(gain, tightness=None)
     if incremental_gain.bound:  # what is reached from rest is reached by a pair, of which one is at rest
         incremental_gain = replace(incremental_gain, attack=gain.attack, attack_physical=gain.attack_physical)
         levels = tuple(low + (high - low) * part for part in LEVELS_HELD)
