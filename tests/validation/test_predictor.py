@@ -94,6 +94,22 @@ def test_prediction_does_not_depend_on_the_clock(model: Model) -> None:
         np.testing.assert_allclose(again, z[30:], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("horizon", [1, 6])
+def test_a_record_that_begins_later_is_predicted_alike(
+    horizon: int, linear: LinearModel, true_gain: FloatArray
+) -> None:
+    """Once the observer has forgotten its start: time invariance of the whole predictor."""
+    u, y = signals(linear)
+    predictor = Predictor(linear, (true_gain,))
+    rate = np.abs(np.linalg.eigvals(linear.system.A - true_gain @ linear.system.C)).max()
+    begin, settled = 10, 10 + int(np.ceil(np.log(1e-10) / np.log(rate)))
+    u, y = np.tile(u, (3, 1)), np.tile(y, (3, 1))
+    whole, later = predictor.predict(u, y, horizon), predictor.predict(u[begin:], y[begin:], horizon)
+    assert settled + 50 < len(u)
+    np.testing.assert_allclose(later[settled - begin :], whole[settled:], rtol=1e-7)
+    assert np.abs(later[horizon] - whole[begin + horizon]).max() > 1e-3
+
+
 @pytest.mark.parametrize("disturbed", [False, True])
 def test_the_observer_is_the_equation(model: Model, disturbed: bool) -> None:
     """ẑ(k+1) = f(ẑ, u) + K (y − ŷ), step by step; linear models have it in one recursion."""
