@@ -306,6 +306,8 @@ def _statement(tree: ast.AST, line: int) -> range:
 def chosen_tests(mutant: Mutant, ran: Map) -> list[str]:
     """Tests that can tell a mutant of a function: they ran the statement. All of the folder outside of functions.
 
+    So do those beside them that ran nothing of the file: a figure that one test draws and keeps is looked at by others.
+
     A statement that no test was seen to run may have run in a worker process: what ran its file judges it.
     """
     tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
@@ -319,7 +321,13 @@ def chosen_tests(mutant: Mutant, ran: Map) -> list[str]:
     own = [t for t in ran.seconds if t == STRUCTURE or any(t.startswith((f"{f}/", f"{f}::")) for f in mutant.tests)]
     if any(first <= mutant.line <= last for first, last in bodies):
         seen = tests_of(_statement(tree, mutant.line)) or near
-        own = [test for test in own if test in seen or test.partition("::")[0] in seen]
+        files, touched = {test.partition("::")[0] for test in seen}, set().union(*lines.values())
+        # what ran nothing of the mutated file may look at what a neighbour, or a fixture of both, has made
+        own = [
+            test for test in own
+            if test in seen or test.partition("::")[0] in seen
+            or (test.partition("::")[0] in files and test not in touched)
+        ]  # fmt: skip
     return sorted(own, key=lambda test: (test != STRUCTURE and test not in near, ran.seconds[test]))
 
 

@@ -3,7 +3,7 @@
 import textwrap
 
 import pytest
-from mutants import _program
+from mutants import ROOT, Map, Mutant, _program, chosen_tests
 from mutants_looks import places_of_looks, sets_looks
 
 
@@ -54,3 +54,16 @@ def test_programs_are_the_same_where_only_annotations_or_identity_beside_a_liter
     one: str, other: str, same: bool
 ) -> None:
     assert (_program(one) == _program(other)) is same
+
+
+def test_a_mutant_is_judged_by_what_ran_its_statement_and_by_who_may_look_at_what_that_made() -> None:
+    file = "nnss_cli/report/cells.py"  # `whole` is one statement, `plain` is others
+    source = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    whole = 1 + next(i for i, line in enumerate(source) if line.startswith("    return Cell(str(value)"))
+    plain = 1 + next(i for i, line in enumerate(source) if line.startswith("    return found"))
+    seconds = {f"tests/report/test_{name}": 1.0 for name in ("a.py::ran", "a.py::looks", "a.py::other", "b.py::none")}
+    lines = {file: {whole: {"tests/report/test_a.py::ran"}, plain: {"tests/report/test_a.py::other"}}}
+    mutant = Mutant("x", file, "", whole, ("tests/report",))
+    assert chosen_tests(mutant, Map(seconds, lines)) == ["tests/report/test_a.py::ran", "tests/report/test_a.py::looks"]
+    fixture = {file: {whole: {"tests/report/test_b.py"}, plain: {"tests/report/test_a.py::other"}}}
+    assert chosen_tests(mutant, Map(seconds, fixture)) == ["tests/report/test_b.py::none"]

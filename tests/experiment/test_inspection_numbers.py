@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from nnss_cli.datasets.record import FloatArray
-from scipy.signal import lfilter
+from scipy.signal import csd, lfilter
 
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_dynamics import (
@@ -55,6 +55,18 @@ def test_segments_are_as_long_as_eight_of_them_allow(K: int, inputs: int, segmen
     assert (found.segment, found.frequency[-1], len(found.frequency)) == (segment, 0.5, segment // 2 + 1)
     assert found.averages == pytest.approx(segments / (1 + 2 / 36 * (1 - 1 / segments)))
     assert found.density.shape == (segment // 2 + 1, 2, 2)
+
+
+@pytest.mark.parametrize("K", [40, 300, 333, 5000])
+def test_without_whitening_the_spectrum_is_scipys(K: int) -> None:
+    x, order = noise(K, 2), min(10, K // 20)  # so many samples start the filters
+    found = welch([x], 1, flatten=False)
+    assert found is not None
+    known = {"nperseg": found.segment, "noverlap": found.segment // 2, "detrend": False}
+    for i, j in ((0, 0), (1, 1), (0, 1)):
+        f, expected = csd(x[order:, j], x[order:, i], **known)
+        np.testing.assert_allclose(found.density[:, i, j], expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.frequency, f)
 
 
 def test_fifteen_samples_have_no_spectrum() -> None:

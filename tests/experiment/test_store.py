@@ -230,6 +230,8 @@ Y = signals()["test/0/y"]
         ({"test/0/x": np.zeros(4)}, "test/0: expected u, y"), ({"test/0/x": np.zeros((4, 1), int)}, "test/0: expected"),
         ({"test/0/u": Y[:3, :1]}, "test/0: of different lengths"),
         ({"test/0/x": Y[:3]}, "test/0: of different lengths"),
+        ({"test/0/u": np.zeros((5, 1))}, "test/0: of different lengths"),
+        ({"test/0/x": np.zeros((5, 1))}, "test/0: of different lengths"),
         ({"test/0/y_sim": Y[:, :1]}, "test/0: of different lengths"), ({"test/0/y": None}, "test: no signals"),
         ({"test/0/y_sim": Y + OFF * [1, 1.001]}, "test y2: another score"),
         ({"test/0/y_sim": Y + OFF * [1.001, 1]}, "test y1: another score"),

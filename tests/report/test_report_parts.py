@@ -74,7 +74,10 @@ def test_a_study_names_its_switch_unit_and_seeds(result: Callable, tmp_path: Pat
         "# NN-SS on plant, protocol `own`: recipe\n\nRMSE, median over 2 seeds with its interval by order statistics. "
         "One switch at a time; runs under `out/ablation/recipe/`.\n\n|"
     )
-    assert ("plain" in text, "none" in text, text.endswith("|\n")) == (True, True, True)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    assert rows[0] == ["order", "variant", "runs", "train", "val", "test"]
+    assert rows[2:] == [["2", "plain", "2/2", *["1 (1–1)"] * 3], ["2", "none", "1/1", "1", "1", "1"]]
+    assert text.endswith("|\n")
     (one,) = [replace(result("nnss", 0), channels={"outputs": ["a", "b"]})]
     text = build.write_study(store, "recipe", [Variant("plain", (one,), None)]).read_text(encoding="utf-8")
     assert "\n\nMean over outputs of RMSE/σ, median over 1 seed with" in text
@@ -86,6 +89,7 @@ def test_orders_are_written_with_the_suggested_one_marked(tmp_path: Path) -> Non
     assert files == [tmp_path / "order.csv", tmp_path / "order.png"]
     assert all(path.stat().st_size for path in files)
     table = pd.read_csv(tmp_path / "order.csv")
+    assert list(table.columns) == ["order", "hankel", "train", "val", "suggested"]
     assert list(table["suggested"]) == [False, True]
     assert list(table["order"]) == [1, 2]
     assert list(table["hankel"]) == [1.0, 0.25]
