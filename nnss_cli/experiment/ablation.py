@@ -101,8 +101,8 @@ def ablate(
     refused = _refused(method, dataset, orders, given)
     for name, changed in given.items():
         if name in refused:
-            unbounded = () if study == "stability" else None
-            found.append(Variant(name, (), unbounded, (f"{name}: {refused[name]}",)))
+            left_out = (f"{name}: {refused[name]}",)
+            found.append(Variant(name, (), () if study == "stability" else None, left_out))
             continue
         own = variant_store(store, study, name)
         planned = plan(own, dataset, [method], orders, seeds, changed, force=False)
