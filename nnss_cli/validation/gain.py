@@ -16,8 +16,10 @@ Candidates, the simplest first:
    for where the model is off by an amount that hardly varies. One for each of a range of q_d, since what disturbs a
    model where it was not trained cannot be seen on train.
 
-A candidate whose observer δẑ(k+1) = (F(k) − K H(k)) δẑ(k) does not contract along the validation trajectory is left
-out; of the others the simplest within 2 % of the lowest one-step error on validation is taken.
+A candidate whose observer δẑ(k+1) = (F(k) − K H(k)) δẑ(k) does not contract along the trajectories of training
+and validation is left out; of the others the simplest within 2 % of the lowest one-step error on validation is taken.
+Of long records these are the parts where the inputs vary most; the one taken must err no more than K = 0 over each of
+them from end to end, or the next one is taken: an observer may contract on its way and be lost all the same.
 
 Source for 2 and 3: L. Ljung, "System Identification", 2nd ed., 1999, sections 4.3 and 7.4; for 4: K. R. Muske and
 T. A. Badgwell, "Disturbance modeling for offset-free linear model predictive control", J. Process Control 12, 2002.
@@ -58,9 +60,10 @@ class Gain:
     origin: str
     """Which candidate validation took: "none" (K = 0), "Kalman", "least one-step error", or one with disturbance."""
     rate: float
-    """Growth a sample of δẑ(k+1) = (F(k) − K H(k)) δẑ(k) over the validation record, below 1 for a stable observer."""
+    """Growth a sample of δẑ(k+1) = (F(k) − K H(k)) δẑ(k) over the training or validation
+    record where it is largest, below 1 for a stable observer."""
     radius: float
-    """Largest spectral radius of F(k) − K H(k) along the validation record; above 1 at times, rate may be below 1."""
+    """Largest spectral radius of F(k) − K H(k) along these records; above 1 at times, rate may be below 1."""
     val: dict[str, float]
     """One-step RMSE on validation by candidate, normalised units, geometric mean over the outputs."""
 
@@ -100,7 +103,7 @@ def estimate_gain(system: Stepper, train: Sequence[Record], val: Sequence[Record
     plain = none | _candidates(system, train, init_window, (0.0,))
     disturbed = system.disturbed()
     more = _candidates(disturbed, train, init_window, DISTURBANCES)
-    return _chosen([(system, plain), (disturbed, more)], val, init_window)
+    return _chosen([(system, plain), (disturbed, more)], train, val, init_window)
 
 
 def _candidates(
@@ -268,14 +271,17 @@ def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
     return best
 
 
-def _chosen(found: Sequence[tuple[Stepper, dict[str, FloatArray]]], val: Sequence[Record], w: int) -> Gain:
-    """The candidate with the smallest one-step errors on validation whose observer contracts there."""
-    records = _stretches(val, val[0].input_count)
+def _chosen(
+    found: Sequence[tuple[Stepper, dict[str, FloatArray]]], train: Sequence[Record], val: Sequence[Record], w: int
+) -> Gain:
+    """The candidate with the smallest one-step errors on validation whose observer contracts there and on train."""
+    records, known = _stretches(val, val[0].input_count), _stretches(train, train[0].input_count)
     judged = []
     for system, candidates in found:
         if candidates:
             K = np.stack(list(candidates.values()))
             errors, paths = _judge(system, K, records, w)
+            paths = paths + _judge(system, K, known, w)[1]
             for i, name in enumerate(candidates):
                 judged.append((float(errors[i]), name, system, K[i], [(z[:, i], u) for z, u in paths]))
     val_errors = {name: error for error, name, *_ in judged}
@@ -283,9 +289,22 @@ def _chosen(found: Sequence[tuple[Stepper, dict[str, FloatArray]]], val: Sequenc
     for error, name, system, K, paths in judged:
         rate, radius = _contraction(system, K, paths)
         if rate < 1 or name == "none":
-            stable.append((error, Gain(K, name.split(",")[0], rate, radius, val_errors)))
-    lowest = min(error for error, _ in stable)  # K = 0 is among them
-    return next(gain for error, gain in stable if error <= MARGIN * lowest or not np.isfinite(lowest))
+            stable.append((error, system, Gain(K, name.split(",")[0], rate, radius, val_errors)))
+    lowest = min(error for error, _, _ in stable)  # K = 0 is among them
+    good = [each for each in stable if each[0] <= MARGIN * lowest or not np.isfinite(lowest)]
+    rest = sorted((each for each in stable if each not in good), key=lambda each: each[0])
+    whole = [record for records in (train, val) if sum(map(len, records)) > SAMPLES for record in records]
+    return next(gain for _, system, gain in good + rest if gain.origin == "none" or _serves(system, gain.K, whole, w))
+
+
+def _serves(system: Stepper, K: FloatArray, records: Sequence[Record], w: int) -> bool:
+    """Whether K errs no more than none over each of the records, of which candidates saw the liveliest parts alone."""
+    both = np.stack([np.zeros_like(K), K])
+    for record in records:
+        (none, own), _ = _judge(system, both, [record], w)
+        if own > none or not np.isfinite(own):
+            return False
+    return True
 
 
 def _judge(
@@ -309,15 +328,18 @@ def _judge(
 
 
 def _contraction(system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
-    """Growth a sample of the observer's error over the records, to first order, and its largest frozen radius."""
-    growth, samples, radius = 0.0, 0, 0.0
+    """Growth a sample of the observer's error, to first order, over the record where it grows most; its largest radius.
+
+    The radius is the largest spectral radius of a frozen F(k) − K H(k).
+    """
+    rate, radius = 0.0, 0.0
     for z, u in paths:
         if not np.isfinite(z).all():
             return np.inf, np.inf
         F, H = system.jacobians(z, u)
         closed = F - K @ H
         radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
-        product = np.eye(system.size)
+        product, growth = np.eye(system.size), 0.0
         for step in closed:
             product = step @ product
             norm = float(np.linalg.norm(product))
@@ -327,5 +349,5 @@ def _contraction(system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArra
             growth += np.log(norm)
             product /= norm
         growth -= 0.5 * np.log(system.size)  # the norm that the identity began with
-        samples += len(closed)
-    return float(np.exp(growth / samples)), radius
+        rate = max(rate, float(np.exp(growth / len(closed))))
+    return rate, radius
