@@ -8,8 +8,9 @@ import pytest
 from matplotlib.axes import Axes
 
 from nnss_cli.report import figures
-from nnss_cli.report.figures import _draw_inputs, _has_boxes, _span, _unit, _wrapped, draw_boxplot, draw_simulation
+from nnss_cli.report.figures import _has_boxes, _span, draw_boxplot, wrapped
 from nnss_cli.report.style import Axis, Look
+from nnss_cli.report.timeplots import _draw_inputs, _unit, draw_simulation
 
 
 @pytest.fixture
@@ -20,9 +21,9 @@ def panel() -> Iterator[Axes]:
 
 
 def test_a_title_is_broken_where_its_figure_ends_and_where_it_says() -> None:
-    assert _wrapped("one two\nthree", 9.0) == "one two\nthree"
-    assert _wrapped("x" * 20 + " " + "y" * 4, 2.0) == "x" * 20 + " yyyy"  # 25 letters in two inches
-    assert _wrapped("x" * 20 + " " + "y" * 5, 2.0) == "x" * 20 + "\nyyyyy"
+    assert wrapped("one two\nthree", 9.0) == "one two\nthree"
+    assert wrapped("x" * 20 + " " + "y" * 4, 2.0) == "x" * 20 + " yyyy"  # 25 letters in two inches
+    assert wrapped("x" * 20 + " " + "y" * 5, 2.0) == "x" * 20 + "\nyyyyy"
 
 
 def test_a_unit_is_told_where_there_is_one() -> None:
@@ -143,8 +144,8 @@ def test_each_output_has_its_residuals_below_and_inputs_come_last() -> None:
     figures.close_figure(figure)
 
 
-def test_a_column_of_a_paper_has_no_room_for_a_zoom_and_a_page_has() -> None:
-    for columns, panels in ((1, 2), (2, 4), (None, 4)):
+def test_a_zoom_has_panels_of_its_own_at_every_width() -> None:
+    for columns, panels in ((1, 4), (2, 4), (None, 4)):
         figure = simulation(zoom=slice(5, 9), look=Look(columns=columns))
         assert len(figure.axes) == panels, columns
         if columns:

@@ -10,10 +10,12 @@ import pandas as pd
 import pytest
 
 from nnss_cli.errors import InputError
+from nnss_cli.experiment.ablation import variant_store
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
-from nnss_cli.report import build, figures
-from nnss_cli.report.build import write_comparison, write_report
+from nnss_cli.report import build, figures, timeplots
+from nnss_cli.report.build import write_report
+from nnss_cli.report.comparison import write_comparison
 from nnss_cli.report.style import Look
 
 CHANNELS = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
@@ -25,8 +27,10 @@ class Drawn:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: dict[str, list[Any]] = {}
         self.closed = 0
-        for name in ("draw_boxplot", "draw_simulation", "draw_states", "draw_ranks"):
-            monkeypatch.setattr(figures, name, self.recorder(name))
+        places = {figures: ("draw_boxplot", "draw_ranks"), timeplots: ("draw_simulation", "draw_states")}
+        for module, names in places.items():
+            for name in names:
+                monkeypatch.setattr(module, name, self.recorder(name))
         monkeypatch.setattr(figures, "save_figure", lambda figure, path: path.write_text(figure.name))
         monkeypatch.setattr(figures, "close_figure", self.close)
 
@@ -191,8 +195,8 @@ def test_a_report_has_a_section_for_each_comparison_and_one_over_all_of_a_protoc
             keep(store, "nnss", seed, error=0.25 + seed / 4)
         keep(store, "ssest", error=0.75)
     keep(Store(tmp_path, "tank", "own"), "nnss", 2, splits=())
-    (tmp_path / "plant/own/study-recipe.md").write_text("# NN-SS on plant: recipe\n\nbody\n", encoding="utf-8")
-    (tmp_path / "plant/own/study-class.md").write_text("# NN-SS on plant: class\n\nother\n", encoding="utf-8")
+    for study in ("class", "recipe"):
+        keep(variant_store(Store(tmp_path, "plant", "own"), study, "the recipe as it is"), "nnss")
     path = write_report(tmp_path)
     assert path == tmp_path / "report.md"
     text = path.read_text(encoding="utf-8")
@@ -206,9 +210,9 @@ def test_a_report_has_a_section_for_each_comparison_and_one_over_all_of_a_protoc
     plant = text.partition("## plant, protocol `own`")[2].partition("\n## ")[0]
     assert [line for line in plant.splitlines() if line.startswith("###")] == [
         "### Train", "### Validation", "### Test", "### Medians over seeds", "### Optimism of choosing on test",
-        "### Study: class", "### Study: recipe", "### Figures",
+        "### Study: recipe", "### Study: class", "### Figures",
     ]  # fmt: skip
-    assert "### Study: class\n\nother\n\n### Study: recipe\n\nbody\n\n### Figures" in plant
+    assert plant.index("Runs under `") < plant.index("/ablation/recipe/`") < plant.index("/ablation/class/`")
     assert [line for line in plant.splitlines() if line.startswith("![")] == [
         f"![{name} of plant, protocol own](plant/own/{name}.png)" for name in ("boxplot", "states", "simulation")
     ]

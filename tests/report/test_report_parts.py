@@ -12,8 +12,9 @@ import pytest
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.store import Store
-from nnss_cli.report import build
+from nnss_cli.report import build, comparison
 from nnss_cli.report.dense import BINS, envelope, is_dense, rms, thinned
+from nnss_cli.report.studies import write_study
 
 HOUR = 3600
 
@@ -28,23 +29,23 @@ def test_a_page_shows_one_file_of_each_figure_a_png_where_there_is_one() -> None
     (3 * HOUR, 1.0, 3 * HOUR - 1, "s"), (3 * HOUR + 1, 1.0, 3.0, "h"), (4, 0.5, 1.5, "s"), (5, HOUR, 4.0, "h"),
 ])  # fmt: skip
 def test_a_record_of_more_than_three_hours_is_told_in_hours(K: int, Ts: float, last: float, unit: str) -> None:
-    time, found = build._time(K, Ts)
+    time, found = comparison._time(K, Ts)
     assert (len(time), time[0], time[-1], found) == (K, 0.0, pytest.approx(last), unit)
 
 
 def test_records_are_joined_and_their_beginnings_known() -> None:
     signals = {f"val/{i}/{name}": np.full((K, 1), i) for i, K in enumerate((3, 4, 5)) for name in ("y", "u")}
     signals |= {"valid/0/y": np.zeros((9, 1)), "val/9/y_sim": np.zeros((9, 1))}
-    assert build.record_lengths(signals, "val") == [3, 4, 5]
-    assert build.starts([3, 4, 5]) == [3, 7]
-    assert build.starts([3]) == []
-    assert build._records("val", [3]) == "validation record"
-    assert build._records("a", [3, 4]) == "2 test a records, one after the other"
+    assert comparison.record_lengths(signals, "val") == [3, 4, 5]
+    assert comparison.starts([3, 4, 5]) == [3, 7]
+    assert comparison.starts([3]) == []
+    assert comparison._records("val", [3]) == "validation record"
+    assert comparison._records("a", [3, 4]) == "2 test a records, one after the other"
 
 
 def test_seeds_are_counted_of_what_has_seeds_alone(result: Callable) -> None:
     def over(*runs: tuple[str, int]) -> str:
-        return build._over_seeds([result(name, seed) for name, seed in runs])
+        return comparison._over_seeds([result(name, seed) for name, seed in runs])
 
     assert over(("nnss", 0), ("nnss", 1), ("nnss", 4)) == " over 3 seeds"
     assert over(("nnss", 5)) == " over 1 seed"
@@ -68,18 +69,18 @@ def test_a_study_names_its_switch_unit_and_seeds(result: Callable, tmp_path: Pat
         Variant("plain", (result("nnss", 0), result("nnss", 3)), None),
         Variant("none", (result("nnss", 3),), None),
     ]
-    text = build.write_study(store, "recipe", several).read_text(encoding="utf-8")
+    text = write_study(store, "recipe", several).read_text(encoding="utf-8")
     assert (store.folder / "study-recipe.md").is_file()
     assert text.startswith(
         "# NN-SS on plant, protocol `own`: recipe\n\nRMSE, median over 2 seeds with its interval by order statistics. "
-        "One switch at a time; runs under `out/ablation/recipe/`.\n\n|"
+        "One switch at a time. Runs under `out/ablation/recipe/`.\n\n|"
     )
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert rows[0] == ["order", "variant", "runs", "train", "val", "test"]
     assert rows[2:] == [["2", "plain", "2/2", *["1 (1–1)"] * 3], ["2", "none", "1/1", "1", "1", "1"]]
-    assert text.endswith("|\n")
+    assert text.endswith("- none: nothing: the recipe has it so\n")
     (one,) = [replace(result("nnss", 0), channels={"outputs": ["a", "b"]})]
-    text = build.write_study(store, "recipe", [Variant("plain", (one,), None)]).read_text(encoding="utf-8")
+    text = write_study(store, "recipe", [Variant("plain", (one,), None)]).read_text(encoding="utf-8")
     assert "\n\nMean over outputs of RMSE/σ, median over 1 seed with" in text
 
 
@@ -99,9 +100,9 @@ def test_orders_are_written_with_the_suggested_one_marked(tmp_path: Path) -> Non
 def test_channels_have_the_names_and_units_of_their_kind(result: Callable) -> None:
     channels = {"inputs": ["u", "v"], "outputs": ["y"], "input_units": ["V", "–"], "output_units": ["m"]}
     one = replace(result("nnss"), channels=channels)
-    assert [str(axis) for axis in build._axes(one, "input")] == ["u [V]", "v"]
-    assert [str(axis) for axis in build._axes(one, "output")] == ["y [m]"]
-    assert build._title(one) == "plant (protocol own)"
+    assert [str(axis) for axis in comparison._axes(one, "input")] == ["u [V]", "v"]
+    assert [str(axis) for axis in comparison._axes(one, "output")] == ["y [m]"]
+    assert comparison._title(one) == "plant (protocol own)"
 
 
 # the part of a record that a zoom shows
@@ -111,7 +112,7 @@ def test_channels_have_the_names_and_units_of_their_kind(result: Callable) -> No
 def test_a_zoom_holds_the_largest_range(at: int) -> None:
     y = np.zeros((1200, 1))
     y[at : at + 3, 0] = (1.0, -1.0, 1.0)
-    part = build.transient(y)
+    part = comparison.transient(y)
     assert part is not None
     assert part.start <= at
     assert at + 1 < part.stop
@@ -121,7 +122,7 @@ def test_a_zoom_holds_the_largest_range(at: int) -> None:
 
 @pytest.mark.parametrize(("K", "length"), [(1920, 160), (1932, 160), (6000, 160), (1800, 150)])
 def test_a_zoom_of_a_dense_record_shows_single_oscillations(K: int, length: int) -> None:
-    part = build.transient(np.sin(np.arange(K) / 2)[:, None])
+    part = comparison.transient(np.sin(np.arange(K) / 2)[:, None])
     assert part is not None
     assert part.stop - part.start == length
 
@@ -170,10 +171,10 @@ def test_root_mean_squares_are_by_pieces() -> None:
 
 def test_a_box_plot_is_given_each_splits_own_errors(result: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
-    monkeypatch.setattr(build.figures, "draw_boxplot", lambda *args: given.append(args))
+    monkeypatch.setattr(comparison.figures, "draw_boxplot", lambda *args: given.append(args))
     one = result("nnss", tests=("a", "b", "c"))
     scores = tuple(replace(score, rmse=float(i)) for i, score in enumerate(one.scores))
-    build._boxplot([replace(one, scores=scores), result("ssest", order=3, tests=("b",), error=9.0)])
+    comparison._boxplot([replace(one, scores=scores), result("ssest", order=3, tests=("b",), error=9.0)])
     ((values, labels, _, titles, _),) = given
     assert values == {
         "a/y1": {"nnss": {2: [2.0]}}, "b/y1": {"nnss": {2: [3.0]}, "ssest": {3: [9.0]}}, "c/y1": {"nnss": {2: [4.0]}},
