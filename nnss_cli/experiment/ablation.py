@@ -100,11 +100,10 @@ def ablate(
     given = {name: for_method(overrides, method.name) | change for name, change in STUDIES[study].items()}
     refused = _refused(method, dataset, orders, given)
     for name, changed in given.items():
-        if name in refused:
-            left_out = (f"{name}: {refused[name]}",)
-            found.append(Variant(name, (), () if study == "stability" else None, left_out))
-            continue
         own = variant_store(store, study, name)
+        if name in refused:
+            found.append(Variant(name, (), _unbounded(own, (), study), (f"{name}: {refused[name]}",)))
+            continue
         planned = plan(own, dataset, [method], orders, seeds, changed, force=False)
         todo = planned.todo
         on_plan(name, len(todo))

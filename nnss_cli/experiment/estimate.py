@@ -98,11 +98,12 @@ def amount(todo: Sequence[RunSpec]) -> str:
     parts = []
     for method, own in runs.items():
         epochs = sorted({int(spec.settings.get("epochs", 0)) for spec in own if not is_combined(spec)} - {0})
-        most = (
-            f", each of {' to '.join(f'{n:,}' for n in {epochs[0]: 0, epochs[-1]: 0})} epochs at most" if epochs else ""
-        )
+        most = ""
         if all(map(is_combined, own)):
             most = ", made of the others' runs"
+        elif epochs:
+            ends = dict.fromkeys((epochs[0], epochs[-1]))  # one number where all have the same
+            most = f", each of {' to '.join(f'{n:,}' for n in ends)} epochs at most"
         parts.append(f"{method} {len(own):,} run{'s' * (len(own) > 1)} of order {_orders(own)}{most}")
     return "; ".join(parts)
 

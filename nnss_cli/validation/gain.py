@@ -281,7 +281,7 @@ def _chosen(
         if candidates:
             K = np.stack(list(candidates.values()))
             errors, paths = _judge(system, K, records, w)
-            paths = paths + _judge(system, K, known, w)[1]
+            paths += _judge(system, K, known, w)[1]
             for i, name in enumerate(candidates):
                 judged.append((float(errors[i]), name, system, K[i], [(z[:, i], u) for z, u in paths]))
     val_errors = {name: error for error, name, *_ in judged}
@@ -291,20 +291,17 @@ def _chosen(
         if rate < 1 or name == "none":
             stable.append((error, system, Gain(K, name.split(",")[0], rate, radius, val_errors)))
     lowest = min(error for error, _, _ in stable)  # K = 0 is among them
-    good = [each for each in stable if each[0] <= MARGIN * lowest or not np.isfinite(lowest)]
-    rest = sorted((each for each in stable if each not in good), key=lambda each: each[0])
+    # good ones as they come, the simplest first, then the others by their errors
+    stable.sort(key=lambda each: 0 if each[0] <= MARGIN * lowest or not np.isfinite(lowest) else each[0])
     whole = [record for records in (train, val) if sum(map(len, records)) > SAMPLES for record in records]
-    return next(gain for _, system, gain in good + rest if gain.origin == "none" or _serves(system, gain.K, whole, w))
+    return next(gain for _, system, gain in stable if gain.origin == "none" or _serves(system, gain.K, whole, w))
 
 
 def _serves(system: Stepper, K: FloatArray, records: Sequence[Record], w: int) -> bool:
     """Whether K errs no more than none over each of the records, of which candidates saw the liveliest parts alone."""
     both = np.stack([np.zeros_like(K), K])
-    for record in records:
-        (none, own), _ = _judge(system, both, [record], w)
-        if own > none or not np.isfinite(own):
-            return False
-    return True
+    errors = (_judge(system, both, [record], w)[0] for record in records)
+    return all(own <= none and np.isfinite(own) for none, own in errors)
 
 
 def _judge(

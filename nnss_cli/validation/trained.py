@@ -51,7 +51,7 @@ class Forecaster:
 
     def predict(self, record: Record, horizon: int | None) -> FloatArray:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
-        return self._predicted(record, horizon, "residuals")[0]
+        return self._predicted(record, horizon, "residuals", self._own_guard(horizon))[0]
 
     def guard(self, horizons: Sequence[int]) -> Guard:
         """What guards predictions at these horizons, from the validation records, whether it is used or not."""
@@ -70,21 +70,27 @@ class Forecaster:
         Raises:
             InputError: as `interval`; adaptive around a simulation, which knows no outputs.
         """
-        by, w = band_scale(scale), self.trained.init_window
-        predicted, spread = self._predicted(record, horizon, by)
+        by, w, guard = band_scale(scale), self.trained.init_window, self._own_guard(horizon)
+        predicted, spread = self._predicted(record, horizon, by, guard)
         if by != "adaptive":
-            band = interval(self.fitting.val, w, level, by, lambda each: self._predicted(each, horizon, by))
+            band = interval(self.fitting.val, w, level, by, lambda each: self._predicted(each, horizon, by, guard))
             return Limits.of(band, predicted, spread, record.y, w)
         if horizon is None:
             raise adaptive_simulation()
-        errors = [(each.y - self._predicted(each, horizon, by)[0])[w:] for each in self.fitting.val]
+        errors = [(each.y - self._predicted(each, horizon, by, guard)[0])[w:] for each in self.fitting.val]
         adaptive = adapt(errors, [each.y[w:] for each in self.fitting.val], level, horizon)
         return Limits.following(adaptive, predicted, record.y, w)
 
-    def _predicted(self, record: Record, horizon: int | None, scale: BandScale) -> tuple[FloatArray, FloatArray | None]:
+    def _own_guard(self, horizon: int | None) -> Guard | None:
+        """What its predictions at this horizon pass through; a simulation passes through none."""
+        return self.guard((horizon,)) if self.guarded and horizon is not None else None
+
+    def _predicted(
+        self, record: Record, horizon: int | None, scale: BandScale, guard: Guard | None
+    ) -> tuple[FloatArray, FloatArray | None]:
         predicted, spread = predicted_with_spread(self.trained, record, horizon, scale, self.predictor)
-        if self.guarded and horizon is not None:
-            predicted, _ = self.guard((horizon,)).applied(horizon, predicted, record.y)
+        if guard is not None and horizon is not None:
+            predicted, _ = guard.applied(horizon, predicted, record.y)
         return predicted, spread
 
     def limits_of_simulation(self, record: Record, level: float) -> Limits:

@@ -291,15 +291,20 @@ def _of_layer(
             replace(each, how=lmi.MISSING) if each.bound is None else each for each in (gain, differences)
         )
         return gain, differences, incremental, None
-    for slopes in (np.ones(len(plain.G)), multipliers.steepest_secants(plain.b)):
-        from_rest = Gain("unknown", None, None, None, None, None, "", NO_MULTIPLIERS)
-        if (bound := multipliers.gain(plain, slopes, deadline)) is not None:
-            physical = _physical(bound.number, system, scaling)
-            from_rest = Gain("proved", bound.number, physical, None, None, None, "x(0) = 0, every input", how)
-        if (slopes == 1).all():
-            pairs = "one x(0) for both, every two inputs" if bound is not None else ""
-            differences = _better(differences, replace(from_rest, holds_for=pairs))
-        gain = _better(gain, from_rest)
+
+    def proved(slopes: FloatArray, holds_for: str) -> Gain:
+        bound = multipliers.gain(plain, slopes, deadline)
+        if bound is None:
+            return Gain("unknown", None, None, None, None, None, "", NO_MULTIPLIERS)
+        physical = _physical(bound.number, system, scaling)
+        return Gain("proved", bound.number, physical, None, None, None, holds_for, how)
+
+    of_pairs = proved(np.ones(len(plain.G)), "one x(0) for both, every two inputs")
+    differences = _better(differences, of_pairs)
+    rest = "x(0) = 0, every input"
+    if of_pairs.bound is not None:  # of a pair one may be at rest
+        gain = _better(gain, replace(of_pairs, holds_for=rest))
+    gain = _better(gain, proved(multipliers.steepest_secants(plain.b), rest))
     slowest = multipliers.rate(plain, deadline)
     if slowest is None:
         return gain, differences, incremental, None
