@@ -47,12 +47,17 @@ def command(
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable
+    from nnss_cli.report.style import FORMATS
     from nnss_cli.report.validation import gain_lines, output_rows, point_rows, residual_rows, step_rows, test_rows
     from nnss_cli.trained import load, read_record
     from nnss_cli.validation.check import validate
     from nnss_cli.validation.result import as_dict
     from nnss_cli.validation.trained import forecaster, records_to_validate
 
+    if not as_json and out.suffix.removeprefix(".") not in FORMATS:
+        raise InputError(
+            f"--out: expected a figure, such as {out.stem}.{', .'.join(FORMATS)}, found '{out}': rename it"
+        )
     if not as_json and out.exists() and not force:
         raise InputError(f"'{out}' exists already: name another file with --out, or --force to replace it")
     if file is not None and split:

@@ -307,3 +307,12 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Ca
     Path("validation.png").write_bytes(b"mine")
     assert "exists already" in nnss("validate", plant_run(), new).err
     assert Path("validation.png").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", ["page", "page.txt"])
+def test_a_page_is_a_figure_by_its_name(name: str, new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    """Without a suffix an empty file was left, and the figure under a temporary name."""
+    given = nnss("validate", plant_run(), new, "--out", name)
+    assert (given.code, given.out) == (2, "")
+    assert f"expected a figure, such as page.png, .svg, .pdf, found '{name}'" in given.err
+    assert not list(Path().glob("*page*"))
