@@ -15,7 +15,7 @@ Source: T. Söderström and P. Stoica, "System Identification", 1989, ch. 11 (co
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from nnss_cli.datasets.record import FloatArray, Record
 
 LAGS = 10  # p, where the record is long enough
@@ -48,7 +48,7 @@ def feedthrough_p_value(records: tuple[Record, ...]) -> float:
     if not known.any():
         return 1.0
     F = (before - after)[known] / r / np.maximum(after[known] / freedom, np.finfo(float).tiny)
-    return min(1.0, m * float(scipy.stats.f.sf(F, r, freedom).min()))
+    return min(1.0, m * float(scipy.special.fdtrc(r, freedom, F).min()))
 
 
 def longest_time_constant(records: tuple[Record, ...]) -> float:

@@ -18,8 +18,6 @@ from collections.abc import Iterator
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.baselines.subspace import BLOCK, fit_input_matrix, reflect_unstable, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
@@ -150,6 +148,8 @@ def _posterior_mean(R: FloatArray, output: int, m: int, p: int, r: int, kernel: 
     variance = (below + float(np.sum(r12**2))) / samples
     start = np.array([0.0, 2.0, 0.0, 2.0, 0.5 * np.log(0.01 * variance + 1e-12), 1.0])[: 6 if kernel == "dc" else 5]
     bounds = [(-20.0, 10.0), (-3.0, 6.0), (-20.0, 10.0), (-3.0, 6.0), (start[4] - 10, start[4] + 6), (-4.0, 4.0)]
+    import scipy.optimize  # at need: it takes a third of a second, and `nnss report` comes by here
+
     best = scipy.optimize.minimize(minus_log_likelihood, start, method="L-BFGS-B", bounds=bounds[: len(start)])
     root, F, f, _ = factors(best.x)
     return np.asarray(root @ np.linalg.solve(F, f))
