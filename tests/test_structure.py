@@ -17,9 +17,9 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {"datasets": ROOT / "datasets", "baselines": ROOT / "baselines"}
 # Each may import what stands before it, and itself.
 LAYERS = [
-    "version", "machine", "errors", "files", "modelfile", "iterative", "plugins", "elementary", "system", "datasets",
-    "baselines", "model", "training", "methods", "experiment", "trained", "export", "validation", "testing", "report",
-    "api", "commands", "app", "__main__",
+    "version", "machine", "errors", "files", "lock", "modelfile", "iterative", "plugins", "elementary", "system",
+    "datasets", "baselines", "model", "training", "methods", "experiment", "trained", "export", "validation", "testing",
+    "report", "api", "commands", "app", "__main__",
 ]  # fmt: skip
 
 

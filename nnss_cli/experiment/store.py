@@ -18,10 +18,10 @@ from pathlib import Path
 from nnss_cli.datasets.record import Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_index
-from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
 from nnss_cli.files import free_space, remove_leftovers, together, write_bytes, write_text
+from nnss_cli.lock import lock
 from nnss_cli.modelfile import Tensors, parse_tensors, read_tensors, write_tensors
 
 LOCKS = ".locks"  # beside the runs: their own folders come and go

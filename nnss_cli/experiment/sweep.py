@@ -259,7 +259,6 @@ def sweep(
     elif limits == NO_LIMITS and (jobs == 1 or len(trained) <= 1):
         executor = Serial(dataset, store, on_event)
     else:
-        _prepare(specs)
         executor = Processes(min(jobs, len(specs)), dataset, store, limits, on_event)
     try:
         # combinations are made of the others, which a cluster's workers do not have at hand
@@ -271,12 +270,3 @@ def sweep(
                     return
     finally:
         executor.close()
-
-
-def _prepare(specs: Sequence[RunSpec]) -> None:
-    """Compile here: the workers then find it on disk."""
-    last = None
-    for spec in specs:
-        if (spec.method, spec.settings) != last:
-            METHODS[spec.method].prepare(spec.settings)
-            last = (spec.method, spec.settings)

@@ -9,9 +9,9 @@ import pytest
 from nnss_cli.datasets.catalog import load
 
 from nnss_cli.experiment.execute import execute
-from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan
+from nnss_cli.lock import lock
 from nnss_cli.methods import select
 
 

@@ -21,12 +21,12 @@ from nnss_cli import files
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Serial, Task
 from nnss_cli.experiment.interrupt import deferred, interruptible
-from nnss_cli.experiment.lock import lock
 from nnss_cli.experiment.outcomes import results
 from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan, sweep
+from nnss_cli.lock import lock
 from nnss_cli.methods import select
 from nnss_cli.plugins import read_source, use
 
@@ -240,7 +240,7 @@ def test_a_run_that_another_command_holds_is_waited_for_and_taken_over_when_it_d
     todo = plan(store, dataset, select(["trivial"]), [1], range(2), {}, False).todo
     finished: list[RunResult] = []
     holder = subprocess.Popen(
-        [sys.executable, "-c", "import sys, time\nfrom pathlib import Path\nfrom nnss_cli.experiment.lock import lock\n"
+        [sys.executable, "-c", "import sys, time\nfrom pathlib import Path\nfrom nnss_cli.lock import lock\n"
          "with lock(Path(sys.argv[1])) as held:\n    print(held, flush=True)\n    time.sleep(60)",
          str(store.folder / "runs" / ".locks" / todo[0].label)],
         stdout=subprocess.PIPE, text=True,

@@ -2,20 +2,24 @@
 
 import json
 import os
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
+from nnss_cli import lock
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import _regression
 from nnss_cli.experiment.run import RunResult, RunSpec, Score, score_outputs
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
 from nnss_cli.experiment.store import Store, records_of, stores
 from nnss_cli.experiment.tune import draw, settings_of
+from nnss_cli.training import fast
 
 CHANNELS = {"inputs": ["u"], "outputs": ["y", "z"], "input_units": ["V"], "output_units": ["m", "K"]}
 OFF = np.array([0.5, 1.0])  # by which simulations are wrong
@@ -67,6 +71,30 @@ def test_what_killed_commands_left_is_removed_and_nothing_else(store: Store) -> 
     assert {path.name for path in done.iterdir()} == {".tmp-recent", "run.json", "signals.safetensors"}
     store.tidy()
     assert not store.run_folder(replace(SPEC, seed=2)).exists()
+
+
+def test_processes_compile_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who finds another one compiling waits for its end, then reads what that has kept."""
+    waits, done = threading.Event(), []
+    sleep = time.sleep
+    monkeypatch.setattr(lock.time, "sleep", lambda seconds: (waits.set(), sleep(seconds)))
+    monkeypatch.setattr(fast, "FastEngine", lambda *_: done.append(True) or MagicMock())
+    with lock.in_turn(Path(fast.kernels.loss_and_gradient.stats.cache_path) / "compiling.lock"):
+        other = threading.Thread(target=fast.warm_up.__wrapped__, args=("float64",))
+        other.start()
+        assert waits.wait(60)
+        assert not done
+    other.join(60)
+    assert done
+
+
+def test_where_no_lock_can_be_kept_nobody_waits(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with lock.in_turn(tmp_path / "file" / "compiling.lock"), lock.in_turn(tmp_path / "file" / "compiling.lock"):
+        pass
+    with pytest.raises(OSError, match="of its own"), lock.in_turn(tmp_path / "compiling.lock"):
+        raise OSError("of its own")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_lock_is_held_by_one(store: Store) -> None:

@@ -1,10 +1,11 @@
-"""A lock that ends with its holder, however that ends: two commands on one folder share the work."""
+"""Locks that end with their holder, however that ends: two commands on one folder share the work."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ except ImportError:  # Windows: two commands at once may do a run twice there
     fcntl = None  # type: ignore[assignment]
 
 _UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+POLL = 0.02  # seconds between tries
 
 
 @contextlib.contextmanager
@@ -30,9 +32,21 @@ def lock(path: Path) -> Iterator[bool]:
     try:
         yield descriptor is not None
     finally:
-        if descriptor is not None:
-            path.unlink(missing_ok=True)  # while it is held: whoever opened it meanwhile sees that it has gone
-            os.close(descriptor)
+        _release(descriptor, path)
+
+
+@contextlib.contextmanager
+def in_turn(path: Path) -> Iterator[None]:
+    """Wait for the lock of this name and hold it; without it where the folder cannot be written."""
+    descriptor = None
+    if fcntl is not None:
+        with contextlib.suppress(OSError):
+            while (descriptor := _acquired(path)) is None:
+                time.sleep(POLL)
+    try:
+        yield
+    finally:
+        _release(descriptor, path)
 
 
 def _acquired(path: Path) -> int | None:
@@ -52,6 +66,12 @@ def _acquired(path: Path) -> int | None:
             os.close(descriptor)
             raise
         os.close(descriptor)  # its holder removed it between our two calls
+
+
+def _release(descriptor: int | None, path: Path) -> None:
+    if descriptor is not None:
+        path.unlink(missing_ok=True)  # while it is held: whoever opened it meanwhile sees that it has gone
+        os.close(descriptor)
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
