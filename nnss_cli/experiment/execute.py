@@ -16,6 +16,7 @@ from nnss_cli.experiment.store import Store
 from nnss_cli.files import together
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods import METHODS, Fit, Method, Model, load_model
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.methods.registry import sound_fit
 from nnss_cli.modelfile import Tensors
 
@@ -138,7 +139,7 @@ def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensor
     scores: list[Score] = []
     signals: Tensors = {}
     for split, records in dataset.splits().items():
-        simulations = [model.simulate(record.u, record.y[:window]) for record in records]
+        simulations = [free_run(model, record.u, record.y[:window]) for record in records]
         for index, (record, simulation) in enumerate(zip(records, simulations, strict=True)):
             prefix = f"{split}/{index}"
             signals |= {

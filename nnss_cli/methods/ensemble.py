@@ -7,6 +7,7 @@ from typing import Any
 
 from nnss_cli.datasets.record import FittingData
 from nnss_cli.iterative import EpochCallback
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.methods.nnss import NNSS
 from nnss_cli.methods.protocol import Fit, Method, Model, Settings
 from nnss_cli.modelfile import Tensors
@@ -45,7 +46,7 @@ class Ensemble(Method):
         """Choose among models of several seeds, on validation."""
         from nnss_cli.model.ensemble import Ensemble as Mean
 
-        return Fit(Mean.chosen(members, data))
+        return Fit(Mean.chosen(members, data, free_run))
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train one member and take it alone; `combine` is for those that are trained already."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling,
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors, write_model
 from nnss_cli.system import System, system_of
+
+FreeRun: TypeAlias = Callable[[NNSS, FloatArray, FloatArray], Simulation]
 
 
 @dataclass(frozen=True)
@@ -38,19 +40,21 @@ class Ensemble:
         return self.members[0].scaling
 
     @classmethod
-    def chosen(cls, candidates: Sequence[NNSS], data: FittingData) -> Ensemble:
+    def chosen(cls, candidates: Sequence[NNSS], data: FittingData, free_run: FreeRun | None = None) -> Ensemble:
         """The better half of the candidates by validation, the middle one included.
 
         The error is the root mean square over all outputs in units of their deviation, after the init window. Of the
         rules tried (the k whose mean validates best, the best three, half, all), half held up best from one
-        half of the validation record to the other.
+        half of the validation record to the other. Candidates are simulated by `free_run`, or by
+        themselves.
         """
         w = data.init_window
         begin = w if w > 1 else 0
         y = np.concatenate([record.y[begin:] for record in data.val])
 
         def error(model: NNSS) -> float:
-            simulated = np.concatenate([model.simulate(record.u, record.y[:w]).y[begin:] for record in data.val])
+            each = [(free_run or type(model).simulate)(model, record.u, record.y[:w]).y[begin:] for record in data.val]
+            simulated = np.concatenate(each)
             return float(np.sqrt(np.mean(((simulated - y) / data.scaling.y_std) ** 2)))
 
         return cls(tuple(sorted(candidates, key=error)[: (len(candidates) + 1) // 2]))

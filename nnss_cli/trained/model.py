@@ -17,8 +17,8 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.origin import Origin, read_origin
 from nnss_cli.experiment.store import records_of
 from nnss_cli.methods import Model, load_model
+from nnss_cli.methods.compiled import free_run, free_run_from
 from nnss_cli.system import System
-from nnss_cli.trained.compiled import free_run, free_run_from
 from nnss_cli.trained.linear import Equilibrium, Frozen, equilibrium, frozen, linearised, to_control
 from nnss_cli.trained.signals import as_samples, as_values
 

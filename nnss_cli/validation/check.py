@@ -16,7 +16,7 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
-from nnss_cli.trained.compiled import free_run
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.validation.limit import linear_limits
 from nnss_cli.validation.linearisation import linearisations, pole_map
 from nnss_cli.validation.predictor import require_finite, step_table

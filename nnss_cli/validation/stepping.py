@@ -19,11 +19,10 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace, propagate
 from nnss_cli.datasets.record import FloatArray, Scaling, Simulation
 from nnss_cli.errors import InputError
-from nnss_cli.methods import Model
+from nnss_cli.methods import Model, compiled
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.trained import compiled
-from nnss_cli.trained.compiled import free_run
 from nnss_cli.training.fast import Weights
 
 CHUNK = 4096  # points whose step is taken at a time

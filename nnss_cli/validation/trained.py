@@ -10,8 +10,8 @@ import numpy as np
 
 from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.trained import TrainedModel
-from nnss_cli.trained.compiled import free_run
 from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.adaptive import AdaptiveBand, adapt
 from nnss_cli.validation.bands import Band, calibrate

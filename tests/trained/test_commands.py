@@ -9,9 +9,10 @@ import pandas as pd
 import pytest
 from nnss_cli.datasets.record import Simulation
 
+from nnss_cli.methods import compiled
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import TrainedModel, compiled, load
+from nnss_cli.trained import TrainedModel, load
 
 
 @pytest.fixture

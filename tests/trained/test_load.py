@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from nnss_cli.datasets.record import Simulation
 
 import nnss_cli
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.execute import execute
+from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan
-from nnss_cli.methods import load_model, select
+from nnss_cli.methods import METHODS, compiled, load_model, select
+from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import TrainedModel, compiled, load
+from nnss_cli.trained import TrainedModel, load
 
 QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
 
@@ -113,6 +115,32 @@ def test_from_a_state_it_is_the_same_in_compiled_code(
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_allclose(one.y, other.y, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(one.x, other.x, rtol=1e-9, atol=1e-9)
+
+
+def test_a_runs_scores_are_of_the_same_simulation(
+    untrained: Callable[..., TrainedModel], small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long records are scored, and members chosen, in compiled code: never by the model's own steps."""
+    dataset = small_data(K=90)
+    candidates = [untrained(n=3, seed=seed) for seed in range(3)]
+    (record,) = dataset.tests["test"]
+    own = candidates[0].model.simulate(record.u, record.y[:1]).y
+    plain, longest = NNSS.simulate, []
+
+    def watched(self: NNSS, u: np.ndarray, y_init: np.ndarray) -> Simulation:
+        longest.append(len(u))
+        return plain(self, u, y_init)
+
+    monkeypatch.setattr(NNSS, "simulate", watched)
+    monkeypatch.setattr(compiled, "LONG", 20)
+    _, signals = simulate_splits(candidates[0].model, dataset)
+    ensemble = METHODS["nnss-ensemble"].combine([each.model for each in candidates], dataset.fitting).model
+    simulate_splits(ensemble, dataset)
+    assert set(longest) == {1}
+    np.testing.assert_array_equal(
+        signals["test/0/y_sim"], candidates[0].simulate(record.u, record.y[:1]).y, strict=True
+    )
+    np.testing.assert_allclose(signals["test/0/y_sim"], own, rtol=1e-9, atol=1e-9)
 
 
 def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:

@@ -12,12 +12,12 @@ from nnss_cli.datasets.download import fetch
 from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.methods import Model
+from nnss_cli.methods import Model, compiled
 from nnss_cli.methods.linear import subspace_model
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.trained import TrainedModel, compiled
+from nnss_cli.trained import TrainedModel
 from nnss_cli.validation.gain import _candidates, _contraction, estimate_gain
 from nnss_cli.validation.predictor import Predictor, persistence, step_table
 from nnss_cli.validation.stepping import steppers_of

@@ -1,5 +1,7 @@
 """Free simulations of long records in compiled code, which a machine compiles once, for seconds.
 
+A run's scores, `nnss simulate` and a predictor's start all come from here, so they agree to the bit.
+
 torch and numba are loaded for those alone: linear models and short records do without.
 """
 
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nnss_cli.datasets.record import FloatArray, Simulation
-from nnss_cli.methods import Model
+from nnss_cli.methods.protocol import Model
 
 if TYPE_CHECKING:
     from nnss_cli.model.nnss import NNSS
