@@ -10,6 +10,7 @@ from nnss_cli.experiment.agreement import telling
 from nnss_cli.experiment.store import Store
 from nnss_cli.files import write_text
 from nnss_cli.report.aggregate import several_outputs
+from nnss_cli.report.statistics import median_interval
 from nnss_cli.report.tables import markdown, option, study_rows
 
 
@@ -17,10 +18,15 @@ def study_note(variants: Sequence[Variant]) -> str:
     """What the table of a study shows."""
     runs = [result for variant in variants for result in variant.results]
     seeds = len({result.spec.seed for result in runs})
-    note = (
-        f"{'Mean over outputs of RMSE/σ' if several_outputs(runs) else 'RMSE'}, median over {seeds} "
-        f"seed{'s' * (seeds > 1)} with its interval by order statistics. One switch at a time."
-    )
+    note = f"{'Mean over outputs of RMSE/σ' if several_outputs(runs) else 'RMSE'}"
+    if seeds == 1:
+        note += ", of one seed"
+    else:
+        covered = median_interval(range(seeds)).coverage
+        note += (
+            f", median over {seeds} seeds with its interval by order statistics: {covered:.1%} of such intervals hold"
+        )
+    note += ". One switch at a time."
     if any(variant.unbounded is not None for variant in variants):
         note += " Under stress: models whose state left the range of numbers in a long run of extreme inputs."
     return note

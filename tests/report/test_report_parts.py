@@ -72,8 +72,8 @@ def test_a_study_names_its_switch_unit_and_seeds(result: Callable, tmp_path: Pat
     text = write_study(store, "recipe", several).read_text(encoding="utf-8")
     assert (store.folder / "study-recipe.md").is_file()
     assert text.startswith(
-        "# NN-SS on plant, protocol `own`: recipe\n\nRMSE, median over 2 seeds with its interval by order statistics. "
-        "One switch at a time. Runs under `out/ablation/recipe/`.\n\n|"
+        "# NN-SS on plant, protocol `own`: recipe\n\nRMSE, median over 2 seeds with its interval by order statistics: "
+        "50.0% of such intervals hold. One switch at a time. Runs under `out/ablation/recipe/`.\n\n|"
     )
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert rows[0] == ["order", "variant", "runs", "train", "val", "test"]
@@ -81,7 +81,7 @@ def test_a_study_names_its_switch_unit_and_seeds(result: Callable, tmp_path: Pat
     assert text.endswith("- none: nothing: the recipe has it so\n")
     (one,) = [replace(result("nnss", 0), channels={"outputs": ["a", "b"]})]
     text = write_study(store, "recipe", [Variant("plain", (one,), None)]).read_text(encoding="utf-8")
-    assert "\n\nMean over outputs of RMSE/σ, median over 1 seed with" in text
+    assert "\n\nMean over outputs of RMSE/σ, of one seed. One switch" in text
 
 
 def test_orders_are_written_with_the_suggested_one_marked(tmp_path: Path) -> None:
