@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 import warnings
 from pathlib import Path
@@ -85,6 +87,9 @@ def _global(
 ) -> None:
     """A bench for system identification: NN-SS against classical methods, from records to tables."""
 
+
+# else the interpreter ends with collections that go through all that torch, numba and pandas have made: a second or so
+atexit.register(gc.freeze)
 
 UsageError: Any = typer.BadParameter.__bases__[0]  # click's or typer's own, whichever typer has
 
