@@ -129,7 +129,7 @@ def toml(**keys: object) -> str:
         ({"split": "60/20/30"}, "'d.toml': split '60/20/30': the parts sum to 110"),
         ({"split": "80/0/20"}, "the validation part is empty"),
         ({"split": "60/20/20", "val": "b.csv"}, "split: expected none beside val files"),
-        ({"split": "60/20/20", "test": "b.csv"}, "expected 0 for test beside test files"),
+        ({"split": "60/30/10", "test": "b.csv"}, "expected 0 for test beside test files, as 75/25/0, found 0.1"),
         ({"test": {"train": "b.csv"}}, "test: expected named test sets"),
         ({"test": {"a": []}}, "test: expected named test sets with at least one file"),
         ({"detrend": "cubic"}, 'detrend: expected "none" or "constant" or "linear", found .cubic.'),
@@ -186,6 +186,16 @@ def signals(K: int = 100, seed: int = 0, Ts: float = 0.5) -> pd.DataFrame:
 def described(folder: Path, **keys: object) -> Description:
     given: dict[str, object] = {"name": "plant", "files": "a.csv", "inputs": ["u", "v"], "outputs": "y", "Ts": 0.5}
     return Description(**given | keys, folder=folder)  # type: ignore[arg-type]
+
+
+def test_without_a_time_column_samples_are_evenly_apart(tmp_path: Path) -> None:
+    """A gap in a straight line is filled on the line, and nothing is left of it without its trend."""
+    frame = signals()
+    frame["y"] = 3.0 + 2.0 * frame.t
+    frame.loc[[1, 40, 41], "y"] = np.nan
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    found = load_experiments(described(tmp_path, missing="interpolate"))
+    np.testing.assert_allclose(found.train[0].y[:, 0], 3.0 + np.arange(60), rtol=1e-12)
 
 
 def test_one_file_is_cut_in_time_order(tmp_path: Path) -> None:
@@ -296,6 +306,7 @@ def test_time_gaps_resampling_and_decimation(tmp_path: Path) -> None:
         ({"init_window": 20}, "'a.csv': 20 samples are too few for val: expected 21 or more"),
         ({"inputs": ["u", "still"]}, r"input 'still' is constant over the training part \(1\)"),
         ({"outputs": "still"}, "output 'still' is constant"),
+        ({"inputs": "u", "outputs": ["y", "v", "still"]}, "output 'still' is constant"),
         ({"val": "a.csv"}, "file 'a.csv' stands under two of train, val and test"),
         ({"val": "./a.csv"}, "file './a.csv' stands under two"),
         ({"downsample": 10}, "'a.csv': downsample 10: the filter needs more than 190 samples, found 100"),

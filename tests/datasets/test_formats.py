@@ -465,3 +465,13 @@ def test_a_number_beyond_the_range_of_doubles_is_refused(tmp_path: Path) -> None
     path.write_text("u,y\n1,2\n" + "9" * 400 + ",3\n")
     with pytest.raises(InputError, match="row 3, column 'u': expected a finite number, found inf"):
         numbers(read_table(path), "u")
+
+
+@given(size=st.integers(1, 30))
+def test_comments_are_left_out_wherever_a_read_ends(size: int) -> None:
+    text = "head\n1,2\n# a remark, 9\n3,4\n  # another\n5,6 # not at the start\n7,8"
+    samples = textfile._Samples(Path("a.csv"), io.StringIO(text), skipped=1)
+    parts = list(iter(lambda: samples.read(size), ""))
+    assert "".join(parts) == "1,2\n3,4\n5,6 # not at the start\n7,8"
+    assert all(part.endswith("\n") for part in parts[:-1])
+    assert samples.lines == 6

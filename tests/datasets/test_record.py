@@ -198,3 +198,31 @@ def test_statistics_are_one_for_each_channel(name: str, shape: tuple[int, ...]) 
     right = fitting(records, records).scaling
     with pytest.raises(InputError, match=rf"rig: Scaling.{name}: expected shape \(2,\)"):
         fitting(records, records, scaling=replace(right, **{name: np.ones(shape)}))
+
+
+def test_the_fingerprint_knows_every_sample_statistic_and_split() -> None:
+    """And that alone: names and notes have no part in it."""
+    random = np.random.default_rng(0)
+    a, b, c = (Record(random.standard_normal((5, 2)), random.standard_normal((5, 1)), 0.5) for _ in range(3))
+    plain = Dataset(fitting((a,), (b,)), {"test": (c,)})
+
+    def touched(record: Record, name: str) -> Record:
+        signal = getattr(record, name).copy()
+        signal[-1, -1] = np.nextafter(signal[-1, -1], np.inf)
+        return replace(record, **{name: signal})
+
+    others = [Dataset(fitting((touched(a, name),), (b,)), {"test": (c,)}) for name in "uy"]
+    others += [Dataset(fitting((a,), (touched(b, name),)), {"test": (c,)}) for name in "uy"]
+    others += [Dataset(fitting((a,), (b,)), {"test": (touched(c, name),)}) for name in "uy"]
+    others += [
+        Dataset(fitting((b,), (a,)), {"test": (c,)}), Dataset(fitting((a, b), (c,)), {}),
+        Dataset(fitting((a,), (b,)), {"other": (c,)}), Dataset(fitting((a,), (b,), init_window=2), {"test": (c,)}),
+        Dataset(fitting(*((replace(record, Ts=0.25),) for record in (a, b))), {"test": (replace(c, Ts=0.25),)}),
+    ]  # fmt: skip
+    for field in ("u_mean", "u_std", "y_mean", "y_std"):
+        scaling = replace(plain.fitting.scaling, **{field: getattr(plain.fitting.scaling, field) + 0.5})
+        others.append(Dataset(fitting((a,), (b,), scaling=scaling), {"test": (c,)}))
+    prints = [plain.fingerprint(), *(dataset.fingerprint() for dataset in others)]
+    assert len(set(prints)) == len(prints)
+    again = replace(plain, notes=("seen",), fitting=replace(plain.fitting, dataset="another name"))
+    assert again.fingerprint() == plain.fingerprint()
