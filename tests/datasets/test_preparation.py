@@ -185,7 +185,7 @@ def test_a_split_takes_every_sample_once_in_time_order(K: int, train: int, val: 
         ("60/20", "expected train/validation/test"), ("60/20/30", "sum to 110"), ("a/b/c", "as 60/20/20"),
         ("0/50/50", "train part is empty"), ("-10/60/50", "as 60/20/20"), ("nan/0/0", "as 60/20/20"),
         ("1e2/0/0", "as 60/20/20"), ("0/0/0", "sum to 0"), ("", "as 60/20/20"), ("600/200/200", "sum to 1000"),
-        
+
     ],
 )  # fmt: skip
 def test_bad_splits_are_refused(text: str, message: str) -> None:

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.record import FloatArray, Record
 from scipy.signal import csd, lfilter
 
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_dynamics import (
     LEVEL,
     Spectra,
+    _first,
     band,
     excerpt,
     multiple_coherence,
@@ -19,7 +20,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     responses,
     welch,
 )
-from nnss_cli.experiment.inspection_order import guess_order
+from nnss_cli.experiment.inspection_order import _hankel, guess_order
 from nnss_cli.experiment.inspection_signals import Channel, examine_channel, examine_clock, find_copies, persistency
 from nnss_cli.experiment.inspection_split import Part, recommend_split
 
@@ -473,3 +474,23 @@ def test_a_part_at_rest_is_named_with_its_channel() -> None:
     rule, warnings, _ = split_of(x, "input")
     assert rule == "50/30/20 in time order"  # only its test part is at rest
     assert warnings == ("input 'y' is constant in the test part",)
+
+
+@pytest.mark.parametrize(
+    ("z", "first"),
+    [
+        ([0.1, 3.0, 9.0, 1.0], 1),  # beyond the bound of one lag, and beside what is beyond that of all
+        ([2.7, 3.0, 9.0, 1.0], 0),
+        ([3.0, 0.1, 9.0, 1.0], 2),
+        ([0.1, 0.2, 0.3, 3.0], None),
+    ],
+)
+def test_a_response_begins_with_what_leads_up_to_it(z: list[float], first: int | None) -> None:
+    assert _first(np.array(z), np.full(4, 10.0)) == (first, False)
+
+
+def test_where_a_regularised_model_fails_or_would_take_long_there_are_no_hankel_singular_values() -> None:
+    short = (Record(np.zeros((3, 1)), np.zeros((3, 1)), 1.0),)
+    for records, channels, outputs in ((short, 2, 1), (short, 31, 1), (short, 10, 1)):
+        found = _hankel(records, channels, outputs)
+        assert found.shape == (0,)
