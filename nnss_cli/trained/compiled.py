@@ -1,6 +1,6 @@
 """Free simulations of long records in compiled code, which a machine compiles once, for seconds.
 
-torch and numba are loaded for those alone: linear models and short records do without.
+torch is loaded for those of an NN-SS alone, and numba for long records alone.
 """
 
 from __future__ import annotations
