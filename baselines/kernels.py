@@ -53,77 +53,64 @@ def _advance(A: Any, B: Any, x: Any, u: Any, following: Any) -> None:
 
 
 @njit(**EXACT)
-def _residual(C: Any, D: Any, x: Any, u: Any, y: Any, e: Any) -> None:
-    """y − C x − D u of one sample into `e`."""
-    for o in range(len(C)):
-        total = y[o]
-        for j in range(len(x)):
-            total -= C[o, j] * x[j]
-        for j in range(len(u)):
-            total -= D[o, j] * u[j]
-        e[o] = total
-
-
-@njit(**EXACT)
 def residuals(A: Any, B: Any, C: Any, D: Any, x0: Any, u: Any, y: Any, e: Any) -> None:
     """y − ŷ (K, m) of a free simulation into `e`, from inputs u (K, r) and the state x0 (n,)."""
     x, following = x0.copy(), np.empty_like(x0)
     for k in range(len(u)):
-        _residual(C, D, x, u[k], y[k], e[k])
+        for o in range(len(C)):
+            total = y[k, o]
+            for j in range(len(x)):
+                total -= C[o, j] * x[j]
+            for j in range(u.shape[1]):
+                total -= D[o, j] * u[k, j]
+            e[k, o] = total
         _advance(A, B, x, u[k], following)
         x, following = following, x
 
 
 @njit(**EXACT)
-def _directions(M: Any, S: Any, driven: Any, x: Any, u: Any, out: Any) -> None:
-    """out (q, P …) = M S + driven [x; u] of one sample, for M (q, n), S (n, P) and driven (q, n + r, P)."""
-    n, P = S.shape
-    for i in range(len(M)):
-        row = out[i]
-        for p in range(P):
-            row[p] = 0.0
-        for j in range(n):
-            factor, source = M[i, j], S[j]
-            for p in range(P):
-                row[p] += factor * source[p]
-        for j in range(n + len(u)):
-            factor = x[j] if j < n else u[j - n]
-            source = driven[i, j]
-            for p in range(P):
-                row[p] += factor * source[p]
-        for p in range(P):
-            row[p] = _not_subnormal(row[p])
+def states_and_inputs(A: Any, B: Any, x: Any, u: Any, z: Any) -> None:
+    """z(k) = [x(k); u(k)] (K, n + r), from inputs u (K, r) and x(0) in x (n,), which becomes x(K)."""
+    n = len(A)
+    for k in range(len(u)):
+        z[k, :n] = x
+        z[k, n:] = u[k]
+        _advance(A, B, z[k, :n], u[k], x)
 
 
 @njit(**EXACT)
-def sensitivities(
-    A: Any, B: Any, C: Any, D: Any, driven: Any, seen: Any, u: Any, y: Any, x: Any, S: Any, J: Any
-) -> None:  # fmt: skip
-    """Derivatives of ŷ along P directions, and y − ŷ behind them, of consecutive samples.
+def _add_product(M: Any, X: Any, out: Any) -> None:
+    """out (q, P …) += M (q, n) X (n, P); four rows of X at a time, so that out is read and written less often."""
+    n, P = X.shape
+    whole = n - n % 4
+    for i in range(len(M)):
+        row = out[i]
+        for j in range(0, whole, 4):
+            a, b, c, d = M[i, j], M[i, j + 1], M[i, j + 2], M[i, j + 3]
+            at_a, at_b, at_c, at_d = X[j], X[j + 1], X[j + 2], X[j + 3]
+            for p in range(P):
+                row[p] += a * at_a[p] + b * at_b[p] + c * at_c[p] + d * at_d[p]
+        for j in range(whole, n):
+            a, at_a = M[i, j], X[j]
+            for p in range(P):
+                row[p] += a * at_a[p]
 
-        S(k+1) = A S(k) + Σ_j driven_j z_j(k),   J(k) = [C S(k) + Σ_j seen_j z_j(k),  y(k) − ŷ(k)],   z = [x; u]
+
+@njit(**EXACT)
+def sensitivities(A: Any, C: Any, S: Any, forced: Any, J: Any) -> None:
+    """J(k) += C S(k) along P directions, S(k+1) = A S(k) + forced(k), for consecutive samples.
 
     Args:
-        A, B, C, D: the model (n, n), (n, r), (m, n), (m, r).
-        driven: [dA dB] of each direction (n, n + r, P).
-        seen: [dC dD] of each direction (m, n + r, P).
-        u: inputs (K, r).
-        y: outputs (K, m).
-        x: state (n,) before the first sample; after it, that before the next.
-        S: dx (n, P), likewise.
-        J: (K, m, P + 1), filled.
+        A: (n, n).
+        C: (m, n).
+        S: S(0) (n, P).
+        forced: (K, n, P), overwritten by S(1) … S(K).
+        J: (K, m, at least P).
     """
-    state, following = x.copy(), np.empty_like(x)
-    moving, next_moving = S.copy(), np.empty_like(S)
-    for k in range(len(u)):
-        _directions(C, moving, seen, state, u[k], J[k])
-        _residual(C, D, state, u[k], y[k], J[k, :, -1])
-        _directions(A, moving, driven, state, u[k], next_moving)
-        _advance(A, B, state, u[k], following)
-        state, following = following, state
-        moving, next_moving = next_moving, moving
-    x[:] = state
-    S[:] = moving
+    for k in range(len(J)):
+        _add_product(C, S, J[k])
+        _add_product(A, S, forced[k])
+        S = forced[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})

@@ -32,6 +32,7 @@ CONSTRAINT = 1e3  # weight of C G = I against residuals of about one deviation
 STARTS = 3  # candidates of the subspace grid that are refined, besides MATLAB's
 LEAD = 10_000  # samples on which the starts for a longer record are refined first
 SAME = 1e-5  # relative difference of the criterion below which two optima are one
+CACHED = 2**17  # numbers of a block of sensitivities: they stay in the cache
 TOLERANCE = 1e-3  # relative: an optimum counts as no worse than that of MATLAB's start
 
 
@@ -150,17 +151,24 @@ class _Problem:
         so all of them are propagated side by side.
         """
         d_A, d_B, d_C, d_G, d_D = point.directions(Q)
-        driven = np.ascontiguousarray(np.concatenate([d_A, d_B], axis=2).transpose(1, 2, 0))  # (n, n + r, P')
-        seen = np.ascontiguousarray(np.tensordot(weight, np.concatenate([d_C, d_D], axis=2), axes=(1, 1)).swapaxes(1, 2))
         C, D = weight @ point.C, weight @ point.D
+        driven = np.concatenate([d_A, d_B], axis=2).transpose(2, 1, 0)  # (n + r, n, P')
+        seen = np.concatenate([d_C, d_D], axis=2).transpose(2, 1, 0)  # (n + r, m, P')
+        seen = np.concatenate([weight @ seen, -np.hstack([C, D]).T[:, :, None]], axis=2)  # y − ŷ behind
+        length = min(BLOCK, max(64, CACHED // driven[0].size))
         for record in self.records:
             u0 = record.u[0]
             v = record.y[0] - point.D @ u0
             x, state = point.G @ v, np.ascontiguousarray((d_G @ v - d_D @ u0 @ point.G.T).T)
-            for start in range(0, len(record), BLOCK):
-                u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK] @ weight.T
-                block = np.empty((len(u), len(C), Q.shape[1] + 1))
-                kernels.sensitivities(point.A, point.B, C, D, driven, seen, u, y, x, state, block)
+            for start in range(0, len(record), length):
+                u, y = record.u[start : start + length], record.y[start : start + length]
+                z = np.empty((len(u), len(driven)))
+                kernels.states_and_inputs(point.A, point.B, x, u, z)
+                forced, block = (z @ M.reshape(len(M), -1) for M in (driven, seen))
+                forced, block = forced.reshape(len(z), *driven.shape[1:]), block.reshape(len(z), *seen.shape[1:])
+                block[:, :, -1] += y @ weight.T
+                kernels.sensitivities(point.A, C, state, forced, block)
+                state = np.where(np.abs(forced[-1]) < kernels.NOTHING, 0, forced[-1])
                 yield block
 
 

@@ -84,7 +84,7 @@ class WindowFactors:
     """
 
     def __init__(self, records: tuple[Record, ...], horizons: Iterable[Horizon]) -> None:
-        """For `horizons` that `observability` is to be asked for; what the records have too few windows for is left out."""
+        """For what `observability` is to be asked for; horizons that the records have too few windows for are left out."""
         self.records = records
         usable = [horizon for horizon in horizons if window_count(records, horizon) >= row_count(records, horizon)]
         self.widest = Horizon(
