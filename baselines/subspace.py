@@ -84,7 +84,7 @@ class WindowFactors:
     """
 
     def __init__(self, records: tuple[Record, ...], horizons: Iterable[Horizon]) -> None:
-        """For what `observability` is to be asked for; horizons that the records have too few windows for are left out."""
+        """For the horizons that `observability` will be asked for; those too wide for the records are left out."""
         self.records = records
         usable = [horizon for horizon in horizons if window_count(records, horizon) >= row_count(records, horizon)]
         self.widest = Horizon(
