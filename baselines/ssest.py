@@ -241,8 +241,11 @@ def _levenberg_marquardt(
 
 def _normalised(start: LinearStateSpace, records: tuple[Record, ...]) -> _Point:
     """`start` in a basis of unit state covariance, with G the best linear guess Σ Cᵀ (C Σ Cᵀ)⁻¹."""
-    states = np.concatenate([start.simulate(record.u, start.initial_state(record))[1] for record in records])
-    values, vectors = np.linalg.eigh(states.T @ states / len(states))
+    covariance = np.zeros((start.order, start.order))
+    for record in records:
+        _, states = start.simulate(record.u, start.initial_state(record))
+        covariance += states.T @ states / sum(len(each) for each in records)
+    values, vectors = np.linalg.eigh(covariance)
     root = np.sqrt(np.maximum(values, values[-1] * 1e-10 + np.finfo(float).tiny))
     model = start.transform((vectors / root).T)
     return _Point(model.A, model.B, model.C, np.linalg.pinv(model.C), model.D)

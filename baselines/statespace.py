@@ -115,10 +115,10 @@ class LinearStateSpace:
         """
         w = len(y)
         if w > 1:
-            free = propagate(self.A, np.zeros((self.order, w, self.order)), np.eye(self.order))[:, :-1]
+            # rows C A^k, from their transposes
+            free = propagate(self.A.T, np.zeros((len(self.C), w, self.order)), self.C)[:, :-1]
+            regressor = free.swapaxes(0, 1).reshape(-1, self.order)
             forced, _ = self.simulate(u[:w], np.zeros(self.order))
-            with np.errstate(over="ignore", invalid="ignore"):
-                regressor = (free @ self.C.T).reshape(self.order, -1).T
             if np.isfinite(regressor).all() and np.isfinite(forced).all():
                 return np.asarray(np.linalg.lstsq(regressor, (y - forced).ravel(), rcond=None)[0])
         return self.state_from_output(y[0], u[0])
