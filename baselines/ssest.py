@@ -14,6 +14,7 @@ multivariable linear systems", Automatica 40(9), 2004.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -21,7 +22,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from nnss_cli.baselines import kernels
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
-from nnss_cli.baselines.statespace import LinearStateSpace, scored_residuals, simulation_rms
+from nnss_cli.baselines.statespace import LONG, LinearStateSpace, scored_residuals, simulation_rms
 from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import beginnings
@@ -341,6 +342,14 @@ def led(
     best = int(np.argmin(values))
     scale = abs(values[0]) if criterion == "trace" else 1.0
     return [refined[0]] if values[0] - values[best] <= SAME * scale else [refined[0], refined[best]]
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile the loops, or read them from numba's cache, on a model of order 1."""
+    one = np.ones((1, 1))
+    u = np.random.default_rng(0).standard_normal(LONG)  # long enough for those of `propagate`
+    refine(LinearStateSpace(0.5 * one, one, one, 0 * one, 1.0), (Record(u, np.tanh(u), 1.0),), iterations=1)
 
 
 def ssest_by_validation(

@@ -47,6 +47,10 @@ def test_sensitivities_against_finite_differences(
     Q = random.standard_normal((len(theta), 4))
     along, _ = sensitivities(problem, point, Q)
     np.testing.assert_allclose(along, np.tensordot(Q.T, J, axes=1), atol=1e-10 * np.abs(along).max())
+    weight = random.standard_normal((m, m))
+    weighted = np.concatenate(list(problem._sensitivities(point, Q, weight)))
+    plain = np.concatenate([along, e[None]]).transpose(1, 2, 0)
+    np.testing.assert_allclose(weighted, weight @ plain, atol=1e-10 * np.abs(plain).max())
     for i in range(len(theta)):
         step = np.zeros(len(theta))
         step[i] = 1e-6
@@ -111,6 +115,17 @@ def test_a_long_record_ends_where_a_short_one_would(
     led = ssest(train, val, 3)
     for split in (train, val):
         assert simulation_rms(led, split) == pytest.approx(simulation_rms(at_once, split), rel=module.TOLERANCE)
+
+
+def test_the_starts_are_sought_once_for_both_feedthroughs(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = LinearStateSpace(*system(2, 1, 1, seed=4), 1.0)
+    train, val = records_of(plant, 1, 0.1), records_of(plant, 2, 0.1)
+    apart = [module.ssest(train, val, 2, feedthrough) for feedthrough in (False, True)]
+    searches = []
+    monkeypatch.setattr(module, "n4sid_candidates", lambda *args: searches.append(args) or n4sid_candidates(*args))
+    found = module.ssest_by_validation(train, val, 2)
+    assert len(searches) == 1
+    np.testing.assert_array_equal(found.markov(20), min(apart, key=lambda one: simulation_rms(one, val)).markov(20))
 
 
 def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:
