@@ -242,11 +242,11 @@ def _levenberg_marquardt(
 
 def _normalised(start: LinearStateSpace, records: tuple[Record, ...]) -> _Point:
     """`start` in a basis of unit state covariance, with G the best linear guess Σ Cᵀ (C Σ Cᵀ)⁻¹."""
-    covariance = np.zeros((start.order, start.order))
+    squares, samples = np.zeros((start.order, start.order)), sum(len(record) for record in records)
     for record in records:
         _, states = start.simulate(record.u, start.initial_state(record))
-        covariance += states.T @ states / sum(len(each) for each in records)
-    values, vectors = np.linalg.eigh(covariance)
+        squares += states.T @ states
+    values, vectors = np.linalg.eigh(squares / samples)
     root = np.sqrt(np.maximum(values, values[-1] * 1e-10 + np.finfo(float).tiny))
     model = start.transform((vectors / root).T)
     return _Point(model.A, model.B, model.C, np.linalg.pinv(model.C), model.D)

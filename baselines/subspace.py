@@ -227,40 +227,47 @@ def fit_input_matrix(A: FloatArray, C: FloatArray, records: tuple[Record, ...]) 
     """
     n, r, m = len(A), records[0].input_count, records[0].output_count
 
-    def solve(weight: FloatArray) -> FloatArray:
-        return least_squares(triangularise(_input_regression(A, C, records, weight)))
+    def solve(weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        triangles = [triangularise(_input_regression(A, C, record, weight)) for record in records]
+        # What a record's own x0 explains is taken off first: with columns for each, time would grow with their cube.
+        theta = least_squares(triangularise(_unexplained(R, n) for R in triangles))
+        x0 = [np.linalg.lstsq(R[:, :n], R[:, -1] - R[:, n:-1] @ theta, rcond=None)[0] for R in triangles]
+        return theta.reshape(n, r), np.array(x0)
 
-    theta = solve(np.eye(m))
+    B, x0 = solve(np.eye(m))
     if m > 1:
-        B, x0 = theta[: n * r].reshape(n, r), theta[n * r :].reshape(-1, n)
         residuals = [
             record.y - propagate(A, record.u @ B.T, start)[:-1] @ C.T for record, start in zip(records, x0, strict=True)
         ]
         whitener = inverse_root(np.concatenate(residuals))
         if whitener is not None:
-            theta = solve(whitener)
-    return theta[: n * r].reshape(n, r), theta[n * r :].reshape(-1, n)
+            B, x0 = solve(whitener)
+    return B, x0
 
 
-def _input_regression(
-    A: FloatArray, C: FloatArray, records: tuple[Record, ...], weight: FloatArray
-) -> Iterator[FloatArray]:
-    """Rows [Φ y] of the regression for vec(B) and the initial states, weighted, block by block."""
-    n, r, m = len(A), records[0].input_count, records[0].output_count
-    for index, record in enumerate(records):
-        x = np.zeros((m, r + 1, n))  # ξ of every input, and the free one
-        x[:, r] = weight @ C
-        for start in range(0, len(record), BLOCK):
-            u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
-            w = np.zeros((m, r + 1, len(y), n))
-            w[:, :r] = u.T[:, :, None] * (weight @ C)[:, None, None]
-            states = propagate(A.T, w, x)
-            x = states[:, :, -1]
-            block = np.zeros((len(y), m, n * r + n * len(records) + 1))
-            block[:, :, : n * r] = states[:, :r, :-1].transpose(2, 0, 3, 1).reshape(len(y), m, n * r)
-            block[:, :, n * r + index * n : n * r + (index + 1) * n] = states[:, r, :-1].transpose(1, 0, 2)
-            block[:, :, -1] = y @ weight.T
-            yield block.reshape(-1, block.shape[2])
+def _input_regression(A: FloatArray, C: FloatArray, record: Record, weight: FloatArray) -> Iterator[FloatArray]:
+    """Rows [Φ_x0 Φ_B y] of a record's regression for its initial state and vec(B), weighted, block by block."""
+    n, r, m = len(A), record.input_count, record.output_count
+    x = np.zeros((m, 1 + r, n))  # the free ξ, and that of every input
+    x[:, 0] = weight @ C
+    for start in range(0, len(record), BLOCK):
+        u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
+        w = np.zeros((m, 1 + r, len(y), n))
+        w[:, 1:] = u.T[:, :, None] * (weight @ C)[:, None, None]
+        states = propagate(A.T, w, x)
+        x = states[:, :, -1]
+        block = np.empty((len(y), m, n + n * r + 1))
+        block[:, :, :n] = states[:, 0, :-1].transpose(1, 0, 2)
+        block[:, :, n:-1] = states[:, 1:, :-1].transpose(2, 0, 3, 1).reshape(len(y), m, n * r)
+        block[:, :, -1] = y @ weight.T
+        yield block.reshape(-1, block.shape[2])
+
+
+def _unexplained(R: FloatArray, n: int) -> FloatArray:
+    """The columns of R from n on, in the orthogonal complement of its first n."""
+    U, s, _ = np.linalg.svd(R[:, :n])
+    rank = int(np.sum(s > s[0] * max(R.shape) * np.finfo(float).eps))
+    return np.asarray(U[:, rank:].T @ R[:, n:])
 
 
 def inverse_root(residuals: FloatArray) -> FloatArray | None:

@@ -1,6 +1,6 @@
 """Subspace identification: exact without noise, MATLAB's numbers on the paper's records, other implementations."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -292,3 +292,21 @@ def test_the_protocol_chooses_the_horizon(small_data: Callable) -> None:
         y[data.protocol] = fitted.simulate(record.u, record.y[0]).y
         np.testing.assert_array_equal(y[data.protocol], LinearModel.of(model, data).simulate(record.u, record.y[0]).y)
     assert (y["strict"] != y["paper"]).any()
+
+
+def test_many_records_cost_as_much_as_one_of_their_length(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No regression has columns for the initial state of more than one record."""
+    plant = LinearStateSpace(*system(2, 1, 1, seed=1, radius=0.7), 1.0)
+    records = experiments(plant, 40, 30, seed=1)
+    widths = []
+
+    def noting(blocks: Iterable[np.ndarray]) -> np.ndarray:
+        R = triangularise(blocks)
+        widths.append(R.shape[1])
+        return R
+
+    monkeypatch.setattr("nnss_cli.baselines.subspace.triangularise", noting)
+    B, x0 = fit_input_matrix(plant.A, plant.C, records)
+    np.testing.assert_allclose(B, plant.B, atol=1e-9)
+    np.testing.assert_allclose(x0, [plant.initial_state(record) for record in records], atol=1e-9)
+    assert max(widths) == 2 + 2 * 1 + 1
