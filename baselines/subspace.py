@@ -248,7 +248,7 @@ def fit_input_matrix(A: FloatArray, C: FloatArray, records: tuple[Record, ...]) 
 def _input_regression(A: FloatArray, C: FloatArray, record: Record, weight: FloatArray) -> Iterator[FloatArray]:
     """Rows [Φ_x0 Φ_B y] of a record's regression for its initial state and vec(B), weighted, block by block."""
     n, r, m = len(A), record.input_count, record.output_count
-    x = np.zeros((m, 1 + r, n))  # the free ξ, and that of every input
+    x: FloatArray = np.zeros((m, 1 + r, n))  # the free ξ, and that of every input
     x[:, 0] = weight @ C
     for start in range(0, len(record), BLOCK):
         u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
