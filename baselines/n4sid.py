@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
-from nnss_cli.baselines.subspace import Horizon, fit_input_matrix, observability, realise
+from nnss_cli.baselines.subspace import Horizon, WindowFactors, fit_input_matrix, observability, realise
 from nnss_cli.datasets.record import Record
 
 from nnss_cli.errors import InputError
@@ -32,19 +32,22 @@ def matlab_horizon(order: int, inputs: int, outputs: int) -> Horizon:
     return Horizon(max(2, math.ceil(1.5 * order)), 4 * order)
 
 
-def n4sid(records: tuple[Record, ...], order: int, horizon: Horizon | None = None) -> LinearStateSpace:
+def n4sid(
+    records: tuple[Record, ...], order: int, horizon: Horizon | None = None, factors: WindowFactors | None = None
+) -> LinearStateSpace:
     """Identify a linear model from input-output records.
 
     Args:
         records: experiments, in the units (usually normalised) that the model is to have.
         order: number of states n.
         horizon: horizons and weighting; MATLAB's where it is None.
+        factors: of these records, for several horizons; see `observability`.
 
     Raises:
         InputError: the records are too short for the order.
     """
     m = records[0].output_count
-    Gamma = observability(records, order, horizon or matlab_horizon(order, records[0].input_count, m))
+    Gamma = observability(records, order, horizon or matlab_horizon(order, records[0].input_count, m), factors)
     A, C = realise(Gamma, m)
     B, _ = fit_input_matrix(A, C, records)
     return LinearStateSpace(A, B, C, np.zeros((m, B.shape[1])), records[0].Ts)
@@ -68,9 +71,11 @@ def n4sid_candidates(records: tuple[Record, ...], order: int) -> list[tuple[Hori
     found = []
     matlab = matlab_horizon(order, records[0].input_count, records[0].output_count)
     reason: Exception | None = None
-    for horizon in dict.fromkeys([matlab, *candidate_horizons(order)]):
+    horizons = dict.fromkeys([matlab, *candidate_horizons(order)])
+    factors = WindowFactors(records, horizons)
+    for horizon in horizons:
         try:
-            found.append((horizon, n4sid(records, order, horizon)))
+            found.append((horizon, n4sid(records, order, horizon, factors)))
         except (InputError, np.linalg.LinAlgError) as error:
             reason = reason or error
     if not found:

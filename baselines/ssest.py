@@ -14,13 +14,15 @@ multivariable linear systems", Automatica 40(9), 2004.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from nnss_cli.baselines import kernels
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
-from nnss_cli.baselines.statespace import LinearStateSpace, propagate, scored_residuals, simulation_rms
+from nnss_cli.baselines.statespace import LONG, LinearStateSpace, scored_residuals, simulation_rms
 from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import beginnings
@@ -31,6 +33,7 @@ CONSTRAINT = 1e3  # weight of C G = I against residuals of about one deviation
 STARTS = 3  # candidates of the subspace grid that are refined, besides MATLAB's
 LEAD = 10_000  # samples on which the starts for a longer record are refined first
 SAME = 1e-5  # relative difference of the criterion below which two optima are one
+CACHED = 2**17  # numbers of a block of sensitivities: they stay in the cache
 TOLERANCE = 1e-3  # relative: an optimum counts as no worse than that of MATLAB's start
 
 
@@ -95,8 +98,8 @@ class _Problem:
         parts = []
         for record in self.records:
             x0 = point.G @ (record.y[0] - point.D @ record.u[0])
-            x = propagate(point.A, record.u @ point.B.T, x0)[:-1]
-            parts.append(record.y - x @ point.C.T - record.u @ point.D.T)
+            parts.append(np.empty_like(record.y))
+            kernels.residuals(point.A, point.B, point.C, point.D, x0, record.u, record.y, parts[-1])
         e = np.concatenate(parts)
         return e if np.isfinite(e).all() else None
 
@@ -130,19 +133,17 @@ class _Problem:
 
     def linearise(self, point: _Point, e: FloatArray, Q: FloatArray) -> FloatArray:
         """R of [J Q, e], rows weighted by the criterion."""
-        W = (inverse_root(e) if self.criterion == "det" else None) if len(point.C) > 1 else None
-        weight = np.eye(len(point.C)) if W is None else W
+        W = inverse_root(e) if self.criterion == "det" and len(point.C) > 1 else None
 
         def rows() -> Iterator[FloatArray]:
-            for J, residual in self._sensitivities(point, Q):
-                block = np.concatenate([J, residual[None]])  # (P' + 1, k, m)
-                yield np.einsum("ab,pkb->kap", weight, block).reshape(-1, len(block))
+            for block in self._sensitivities(point, Q, np.eye(len(point.C)) if W is None else W):
+                yield block.reshape(-1, block.shape[2])
             yield np.concatenate([self._extra_jacobian(point) @ Q, -self._extra(point)[:, None]], axis=1)
 
         return triangularise(rows())
 
-    def _sensitivities(self, point: _Point, Q: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Derivatives of ŷ along the columns of Q (P', k, m), and y − ŷ (k, m), block by block.
+    def _sensitivities(self, point: _Point, Q: FloatArray, weight: FloatArray) -> Iterator[FloatArray]:
+        """W [∂ŷ along the columns of Q, y − ŷ], (k, m, P' + 1), block by block, for a weight W (m, m).
 
         Along a direction (dA, dB, dC, dG, dD)
 
@@ -151,19 +152,25 @@ class _Problem:
         so all of them are propagated side by side.
         """
         d_A, d_B, d_C, d_G, d_D = point.directions(Q)
-        driven = np.concatenate([d_A, d_B], axis=2).transpose(0, 2, 1)  # (P', n + r, n)
-        seen = np.concatenate([d_C, d_D], axis=2).transpose(0, 2, 1)  # (P', n + r, m)
+        C, D = weight @ point.C, weight @ point.D
+        driven = np.concatenate([d_A, d_B], axis=2).transpose(2, 1, 0)  # (n + r, n, P')
+        seen = np.concatenate([d_C, d_D], axis=2).transpose(2, 1, 0)  # (n + r, m, P')
+        seen = np.concatenate([weight @ seen, -np.hstack([C, D]).T[:, :, None]], axis=2)  # y − ŷ behind
+        length = min(BLOCK, max(64, CACHED // driven[0].size))
         for record in self.records:
             u0 = record.u[0]
             v = record.y[0] - point.D @ u0
-            x, state = point.G @ v, d_G @ v - d_D @ u0 @ point.G.T
-            for start in range(0, len(record), BLOCK):
-                u, y = record.u[start : start + BLOCK], record.y[start : start + BLOCK]
-                path = propagate(point.A, u @ point.B.T, x)
-                signals = np.concatenate([path[:-1], u], axis=1)  # (k, n + r)
-                moving = propagate(point.A, signals @ driven, state)
-                yield moving[:, :-1] @ point.C.T + signals @ seen, y - path[:-1] @ point.C.T - u @ point.D.T
-                x, state = path[-1], moving[:, -1]
+            x, state = point.G @ v, np.ascontiguousarray((d_G @ v - d_D @ u0 @ point.G.T).T)
+            for start in range(0, len(record), length):
+                u, y = record.u[start : start + length], record.y[start : start + length]
+                z = np.empty((len(u), len(driven)))
+                kernels.states_and_inputs(point.A, point.B, x, u, z)
+                forced, block = (z @ M.reshape(len(M), -1) for M in (driven, seen))
+                forced, block = forced.reshape(len(z), *driven.shape[1:]), block.reshape(len(z), *seen.shape[1:])
+                block[:, :, -1] += y @ weight.T
+                kernels.sensitivities(point.A, C, state, forced, block)
+                state = np.where(np.abs(forced[-1]) < kernels.NOTHING, 0, forced[-1])
+                yield block
 
 
 def refine(
@@ -235,8 +242,11 @@ def _levenberg_marquardt(
 
 def _normalised(start: LinearStateSpace, records: tuple[Record, ...]) -> _Point:
     """`start` in a basis of unit state covariance, with G the best linear guess Σ Cᵀ (C Σ Cᵀ)⁻¹."""
-    states = np.concatenate([start.simulate(record.u, start.initial_state(record))[1] for record in records])
-    values, vectors = np.linalg.eigh(states.T @ states / len(states))
+    squares, samples = np.zeros((start.order, start.order)), sum(len(record) for record in records)
+    for record in records:
+        _, states = start.simulate(record.u, start.initial_state(record))
+        squares += states.T @ states
+    values, vectors = np.linalg.eigh(squares / samples)
     root = np.sqrt(np.maximum(values, values[-1] * 1e-10 + np.finfo(float).tiny))
     model = start.transform((vectors / root).T)
     return _Point(model.A, model.B, model.C, np.linalg.pinv(model.C), model.D)
@@ -255,7 +265,12 @@ def _scored_basis(point: _Point, Ts: float) -> LinearStateSpace:
 
 
 def ssest(
-    train: tuple[Record, ...], val: tuple[Record, ...], order: int, feedthrough: bool = False, init_window: int = 1
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    order: int,
+    feedthrough: bool = False,
+    init_window: int = 1,
+    starts: list[LinearStateSpace] | None = None,
 ) -> LinearStateSpace:
     """Refine several subspace models to convergence and choose one on validation.
 
@@ -270,16 +285,12 @@ def ssest(
         order: number of states n.
         feedthrough: estimate D as well.
         init_window: first samples of a validation experiment that tell x(0); see `scored_residuals`.
+        starts: `subspace_starts` of these data, where they are known.
 
     Raises:
         InputError: the records are too short for the order.
     """
-    candidates = dict(n4sid_candidates(train, order))
-    matlab = matlab_horizon(order, train[0].input_count, train[0].output_count)
-    ranked = sorted(candidates, key=lambda horizon: simulation_rms(candidates[horizon], train))
-    # MATLAB's first, where the data allow its horizon: what it converges to is the bar for the others.
-    chosen = dict.fromkeys([matlab, *ranked[:STARTS]])
-    starts = [candidates[horizon] for horizon in chosen if horizon in candidates]
+    starts = starts or subspace_starts(train, order)
     criteria: tuple[Criterion, ...] = ("trace", "det") if train[0].output_count > 1 else ("trace",)
     eligible = []
     for criterion in criteria:
@@ -288,6 +299,24 @@ def ssest(
         bar = values[0] + TOLERANCE * (abs(values[0]) if criterion == "trace" else 1.0)
         eligible += [model for model, value in zip(optima, values, strict=True) if value <= bar]
     return min(eligible, key=lambda model: simulation_rms(model, val, init_window))
+
+
+def subspace_starts(train: tuple[Record, ...], order: int) -> list[LinearStateSpace]:
+    """MATLAB's n4sid, where the data allow its horizon, and the best of the grid by training error.
+
+    Args:
+        train: experiments, in normalised units.
+        order: number of states n.
+
+    Raises:
+        InputError: the records are too short for the order.
+    """
+    candidates = dict(n4sid_candidates(train, order))
+    matlab = matlab_horizon(order, train[0].input_count, train[0].output_count)
+    ranked = sorted(candidates, key=lambda horizon: simulation_rms(candidates[horizon], train))
+    # MATLAB's first: what it converges to is the bar for the others.
+    chosen = dict.fromkeys([matlab, *ranked[:STARTS]])
+    return [candidates[horizon] for horizon in chosen if horizon in candidates]
 
 
 def led(
@@ -315,11 +344,20 @@ def led(
     return [refined[0]] if values[0] - values[best] <= SAME * scale else [refined[0], refined[best]]
 
 
+@functools.cache
+def warm_up() -> None:
+    """Compile the loops, or read them from numba's cache, on a model of order 1."""
+    one = np.ones((1, 1))
+    u = np.random.default_rng(0).standard_normal(LONG)  # long enough for those of `propagate`
+    refine(LinearStateSpace(0.5 * one, one, one, 0 * one, 1.0), (Record(u, np.tanh(u), 1.0),), iterations=1)
+
+
 def ssest_by_validation(
     train: tuple[Record, ...], val: tuple[Record, ...], order: int, init_window: int = 1
 ) -> LinearStateSpace:
     """Of `ssest` without and with feedthrough, the model that validates better; see there for the arguments."""
-    models = [ssest(train, val, order, feedthrough, init_window) for feedthrough in (False, True)]
+    starts = subspace_starts(train, order)
+    models = [ssest(train, val, order, feedthrough, init_window, starts) for feedthrough in (False, True)]
     return min(models, key=lambda model: simulation_rms(model, val, init_window))
 
 

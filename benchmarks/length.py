@@ -1,45 +1,59 @@
-"""What an iteration of recipe `best` costs on records of 1e3 to 1e6 samples: seconds and peak memory, a process each.
+"""What fits cost on records of 1e3 to 1e6 samples: seconds of processor time and peak memory, a process each.
 
-    python benchmarks/length.py [LONGEST]
+    python benchmarks/length.py [--methods nnss n4sid ssest ssregest] [--longest 1e6] [--order 6] [--channels 1]
 
-An iteration is the normal equations of all samples and the solution of one damped step: n = 6, a generator with one
-hidden layer of 2, some 500 weights. Prints the slopes of time and memory in doubly logarithmic coordinates: 1 is
-proportional to the length, 0 independent of it.
+NN-SS: an iteration of recipe `best`, the normal equations of all samples and the solution of one damped step, for a
+generator with one hidden layer of 2 (one input and output, order 6: some 500 weights). The linear methods: the whole
+fit as `nnss compare` makes it, on a linear plant of that order whose outputs saturate, with 5 % noise; as many
+samples again, at most 20,000, validate. Compilation is left out. Prints the slopes of time and memory in doubly
+logarithmic coordinates: 1 is proportional to the length, 0 independent of it.
 """
 
 from nnss_cli.machine import prepare
 
 prepare()
 
+import argparse
 import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 import numpy as np
-from nnss_cli.datasets.record import Channels, Scaling
+from nnss_cli.baselines.n4sid import n4sid_auto
+from nnss_cli.baselines.ssest import ssest_by_validation
+from nnss_cli.baselines.ssregest import ssregest
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import Channels, Record, Scaling
 from tabulate import tabulate
 
-from nnss_cli.model.architecture import Architecture
-from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.fast import FastEngine
-from nnss_cli.training.gauss_newton import gauss_newton
-from nnss_cli.training.recipe import Recipe
+HIDDEN = 2
+LENGTHS = (1_000, 10_000, 100_000, 1_000_000)
+METHODS: dict[str, Callable[[tuple[Record, ...], tuple[Record, ...], int], object]] = {
+    "n4sid": n4sid_auto,
+    "ssest": ssest_by_validation,
+    "ssregest": lambda train, _, order: ssregest(train, order),
+}
 
-ORDER, HIDDEN = 6, 2
 
+def iteration(samples: int, n: int, channels: int) -> float:
+    """Seconds of an iteration of recipe `best`."""
+    # here, so that the linear methods' memory is without torch
+    from nnss_cli.model.architecture import Architecture
+    from nnss_cli.model.nnss import NNSS
+    from nnss_cli.training.fast import FastEngine
+    from nnss_cli.training.gauss_newton import gauss_newton
+    from nnss_cli.training.recipe import Recipe
 
-def measure(samples: int) -> None:
-    """In a process of its own: seconds of an iteration, peak MiB, and how many weights there are."""
-    random, one = np.random.default_rng(0), np.ones(1)
-    architecture = Architecture(ORDER, 1, 1, hidden=(HIDDEN,), encoder=(8,), dtype="float64")
-    model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
+    random, one = np.random.default_rng(0), np.ones(channels)
+    architecture = Architecture(n, channels, channels, hidden=(HIDDEN,), encoder=(8,), dtype="float64")
+    names = tuple(str(i) for i in range(channels))
+    model = NNSS(architecture, Scaling(one, one, one, one), Channels(names, names, names, names), 1.0)
     model.initialise(random)
-    u, y = random.standard_normal((2, 1, samples, 1))
+    u, y = random.standard_normal((2, 1, samples, channels))
     engine = FastEngine(model, list(u), list(y), Recipe(dtype="float64"))
-    list(
-        FastEngine(model, [u[0, :9]], [y[0, :9]], Recipe(dtype="float64")).sensitivities(np.zeros((1, ORDER)))
-    )  # compile
+    list(FastEngine(model, [u[0, :9]], [y[0, :9]], Recipe(dtype="float64")).sensitivities(np.zeros((1, n))))  # compile
     evaluations: list[float] = []
     plain = engine.sensitivities
 
@@ -49,35 +63,64 @@ def measure(samples: int) -> None:
 
     engine.sensitivities = timed
     gauss_newton(engine, list(y), 3, lambda _: True)
-    ended = time.process_time()
-    seconds = (ended - evaluations[0]) / len(evaluations)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    print(seconds, peak, engine.model_weights.generator_size)
+    return (time.process_time() - evaluations[0]) / len(evaluations)
+
+
+def whole_fit(method: str, samples: int, n: int, channels: int) -> float:
+    """Seconds of a fit by one of the linear methods."""
+    random = np.random.default_rng(0)
+    A = random.standard_normal((n, n))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    B, C = random.standard_normal((n, channels)), random.standard_normal((channels, n))
+    plant = LinearStateSpace(A, B, C, np.zeros((channels, channels)), 1.0)
+
+    def record(K: int) -> tuple[Record, ...]:
+        u = random.standard_normal((K, channels))
+        y = plant.simulate(u, np.zeros(n))[0]
+        y = np.tanh(0.5 * y / y.std(axis=0))
+        y /= y.std(axis=0)
+        return (Record(u, y + 0.05 * random.standard_normal(y.shape), 1.0),)
+
+    train, val, short = record(samples), record(min(samples, 20_000)), record(10_000)
+    METHODS[method](short, short, 1)  # compile
+    started = time.process_time()
+    METHODS[method](train, val, n)
+    return time.process_time() - started
 
 
 def main() -> None:
-    longest = int(float(sys.argv[1])) if len(sys.argv) > 1 else 1_000_000
-    lengths = [K for K in (1_000, 10_000, 100_000, 1_000_000) if longest >= K]
-    table = []
-    for samples in lengths:
-        done = subprocess.run(
-            [sys.executable, __file__, "at", str(samples)], capture_output=True, text=True, check=True
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--methods", nargs="+", choices=("nnss", *METHODS), default=("nnss", *METHODS))
+    parser.add_argument("--longest", type=float, default=LENGTHS[-1])
+    parser.add_argument("--order", type=int, default=6)
+    parser.add_argument("--channels", type=int, default=1, help="inputs, and outputs")
+    parser.add_argument("--at", type=int, help="measure the first method at this length, in this process")
+    given = parser.parse_args()
+    if given.at:
+        seconds = (
+            iteration(given.at, given.order, given.channels)
+            if given.methods[0] == "nnss"
+            else whole_fit(given.methods[0], given.at, given.order, given.channels)
         )
-        seconds, peak, weights = (float(part) for part in done.stdout.split())
-        table.append(
-            {"samples": samples, "s an iteration": seconds, "µs a sample": 1e6 * seconds / samples, "peak MiB": peak}
-        )
-    print(f"n = {ORDER}, {weights:.0f} weights, float64, one core")
-    print(tabulate(table, headers="keys", tablefmt="pipe", floatfmt=("", ".3f", ".1f", ".0f"), intfmt=","))
-    slopes = [
-        np.polyfit(np.log(lengths), np.log([row[name] for row in table]), 1)[0]
-        for name in ("s an iteration", "peak MiB")
-    ]
-    print(f"slopes: time {slopes[0]:.2f}, peak memory {slopes[1]:.2f}")
+        print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10)
+        return
+    for method in given.methods:
+        rows = []
+        for samples in (K for K in LENGTHS if given.longest >= K):
+            line = [sys.executable, __file__, "--methods", method, "--at", str(samples)]
+            line += ["--order", str(given.order), "--channels", str(given.channels)]
+            done = subprocess.run(line, capture_output=True, text=True, check=True)
+            seconds, peak = (float(part) for part in done.stdout.split())
+            rows.append({"samples": samples, "s": seconds, "µs a sample": 1e6 * seconds / samples, "peak MiB": peak})
+        print(f"\n{method}, n = {given.order}, {given.channels} input(s) and output(s), float64, one core")
+        print(tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=("", ".3f", ".1f", ".0f"), intfmt=","))
+        if len(rows) > 1:
+            lengths = np.log([row["samples"] for row in rows])
+            time_slope, memory_slope = (
+                np.polyfit(lengths, np.log([row[name] for row in rows]), 1)[0] for name in ("s", "peak MiB")
+            )
+            print(f"slopes: time {time_slope:.2f}, peak memory {memory_slope:.2f}", flush=True)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["at"]:
-        measure(int(sys.argv[2]))
-    else:
-        main()
+    main()

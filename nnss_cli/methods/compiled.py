@@ -2,7 +2,7 @@
 
 A run's scores, `nnss simulate` and a predictor's start all come from here, so they agree to the bit.
 
-torch and numba are loaded for those alone: linear models and short records do without.
+torch is loaded for those of an NN-SS alone, and numba for long records alone.
 """
 
 from __future__ import annotations

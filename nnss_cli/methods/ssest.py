@@ -40,8 +40,10 @@ class SSEST(Method):
         return {"feedthrough": "no"}
 
     def prepare(self, settings: Settings) -> None:
-        """Import it."""
-        import nnss_cli.baselines.ssest  # noqa: F401
+        """Compile its loops, or read them from numba's cache."""
+        from nnss_cli.baselines.ssest import warm_up
+
+        warm_up()
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Refine subspace models to convergence."""

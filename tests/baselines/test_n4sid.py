@@ -1,6 +1,6 @@
 """Subspace identification: exact without noise, MATLAB's numbers on the paper's records, other implementations."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nfoursid.nfoursid import NFourSID
 from nnss_cli.baselines.linear_model import LinearModel
-from nnss_cli.baselines.n4sid import candidate_horizons, matlab_horizon, n4sid, n4sid_auto
+from nnss_cli.baselines.n4sid import candidate_horizons, matlab_horizon, n4sid, n4sid_auto, n4sid_candidates
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.baselines.subspace import (
     Horizon,
@@ -90,6 +90,53 @@ def test_least_squares_from_triangles() -> None:
     W = inverse_root(e)
     np.testing.assert_allclose(W @ (e.T @ e / 100) @ W.T, np.eye(3), atol=1e-9)
     assert inverse_root(np.zeros((5, 2))) is None
+
+
+@pytest.mark.parametrize("lengths", [(60,), (400,), (150, 30, 90)])  # 30: too short for the widest horizons
+def test_horizons_searched_together_give_what_each_gives_alone(
+    system: Callable, monkeypatch: pytest.MonkeyPatch, lengths: tuple[int, ...]
+) -> None:
+    monkeypatch.setattr("nnss_cli.baselines.subspace.BLOCK", 37)
+    plant = LinearStateSpace(*system(3, 2, 2, seed=4), 1.0)
+    records = tuple(experiments(plant, 1, K, K, noise=0.1)[0] for K in lengths)
+    together = n4sid_candidates(records, 3)
+    assert len(together) > 40
+    for horizon, model in together:
+        alone = n4sid(records, 3, horizon).markov(20)
+        np.testing.assert_allclose(model.markov(20), alone, atol=1e-9 * np.abs(alone).max())
+
+
+@pytest.mark.parametrize("columns", [1, 5, 40])
+def test_triangles_of_tall_regressions_are_lapacks(columns: int) -> None:
+    """More rows than are eliminated at a time; singular values that a sum of squares would have lost."""
+    random = np.random.default_rng(columns)
+    rows = np.linalg.qr(random.standard_normal((3000, columns)))[0] * np.logspace(0, -12, columns)
+    rows = rows @ np.linalg.qr(random.standard_normal((columns, columns)))[0]
+    R = triangularise([rows[:7], rows[7:2500], rows[2500:]])
+    np.testing.assert_array_equal(R, np.triu(R))
+    np.testing.assert_allclose(R.T @ R, rows.T @ rows, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.svd(R)[1], np.logspace(0, -12, columns), rtol=1e-3)
+
+
+def test_the_input_regression_is_that_of_simulations(system: Callable) -> None:
+    """B and x(0) of two records by least squares on the outputs that each entry alone gives."""
+    n, r, m = 3, 2, 1
+    plant = LinearStateSpace(*system(n, r, m, seed=7), 1.0)
+    records = experiments(plant, 2, 80, seed=3, noise=0.3)
+    columns = []
+    for i, j in np.ndindex(n, r):
+        B = np.zeros((n, r))
+        B[i, j] = 1
+        unit = replace(plant, B=B)
+        columns.append(np.concatenate([unit.simulate(record.u, np.zeros(n))[0] for record in records]))
+    for index in range(len(records)):
+        for x0 in np.eye(n):
+            free = [plant.simulate(0 * record.u, x0 * (index == i))[0] for i, record in enumerate(records)]
+            columns.append(np.concatenate(free))
+    y = np.concatenate([record.y for record in records])
+    expected = np.linalg.lstsq(np.concatenate(columns, axis=1), y[:, 0], rcond=None)[0]
+    B, x0 = fit_input_matrix(plant.A, plant.C, records)
+    np.testing.assert_allclose(np.concatenate([B.ravel(), x0.ravel()]), expected, atol=1e-9)
 
 
 def test_the_input_matrix_and_initial_states_fit_exactly(system: Callable) -> None:
@@ -245,3 +292,21 @@ def test_the_protocol_chooses_the_horizon(small_data: Callable) -> None:
         y[data.protocol] = fitted.simulate(record.u, record.y[0]).y
         np.testing.assert_array_equal(y[data.protocol], LinearModel.of(model, data).simulate(record.u, record.y[0]).y)
     assert (y["strict"] != y["paper"]).any()
+
+
+def test_many_records_cost_as_much_as_one_of_their_length(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No regression has columns for the initial state of more than one record."""
+    plant = LinearStateSpace(*system(2, 1, 1, seed=1, radius=0.7), 1.0)
+    records = experiments(plant, 40, 30, seed=1)
+    widths = []
+
+    def noting(blocks: Iterable[np.ndarray]) -> np.ndarray:
+        R = triangularise(blocks)
+        widths.append(R.shape[1])
+        return R
+
+    monkeypatch.setattr("nnss_cli.baselines.subspace.triangularise", noting)
+    B, x0 = fit_input_matrix(plant.A, plant.C, records)
+    np.testing.assert_allclose(B, plant.B, atol=1e-9)
+    np.testing.assert_allclose(x0, [plant.initial_state(record) for record in records], atol=1e-9)
+    assert max(widths) == 2 + 2 * 1 + 1

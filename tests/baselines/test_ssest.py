@@ -24,6 +24,12 @@ def records_of(plant: LinearStateSpace, seed: int, noise: float, K: int = 200, c
     return tuple(records)
 
 
+def sensitivities(problem: module._Problem, point: module._Point, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unweighted derivatives (P', K, m) along the columns of Q, and residuals (K, m)."""
+    blocks = np.concatenate(list(problem._sensitivities(point, Q, np.eye(len(point.C)))))
+    return blocks[:, :, :-1].transpose(2, 0, 1), blocks[:, :, -1]
+
+
 @pytest.mark.parametrize("feedthrough", [False, True])
 @pytest.mark.parametrize(("n", "r", "m", "count"), [(2, 1, 1, 1), (3, 2, 2, 2), (2, 1, 3, 1)])
 def test_sensitivities_against_finite_differences(
@@ -36,13 +42,15 @@ def test_sensitivities_against_finite_differences(
     point = module._Point(plant.A, plant.B, plant.C, random.standard_normal((n, m)), random.standard_normal((m, r)))
     problem = module._Problem(records, "trace", feedthrough, 0.3)
     theta = point.vector(feedthrough)
-    each = np.eye(len(theta))
-    J = np.concatenate([J for J, _ in problem._sensitivities(point, each)], axis=1)
-    e = np.concatenate([e for _, e in problem._sensitivities(point, each)])
+    J, e = sensitivities(problem, point, np.eye(len(theta)))
     np.testing.assert_allclose(e, problem.residuals(point), atol=1e-12)
     Q = random.standard_normal((len(theta), 4))
-    along = np.concatenate([J for J, _ in problem._sensitivities(point, Q)], axis=1)
+    along, _ = sensitivities(problem, point, Q)
     np.testing.assert_allclose(along, np.tensordot(Q.T, J, axes=1), atol=1e-10 * np.abs(along).max())
+    weight = random.standard_normal((m, m))
+    weighted = np.concatenate(list(problem._sensitivities(point, Q, weight)))
+    plain = np.concatenate([along, e[None]]).transpose(1, 2, 0)
+    np.testing.assert_allclose(weighted, weight @ plain, atol=1e-10 * np.abs(plain).max())
     for i in range(len(theta)):
         step = np.zeros(len(theta))
         step[i] = 1e-6
@@ -58,8 +66,8 @@ def test_basis_directions_do_not_change_the_outputs(system: Callable) -> None:
     point = module._Point(plant.A, plant.B, plant.C, np.linalg.pinv(plant.C), plant.D)
     problem = module._Problem(records, "trace", False, 1.0)
     basis = point.basis_directions(False)
-    J = np.concatenate([J for J, _ in problem._sensitivities(point, np.eye(len(basis)))], axis=1)
-    along = np.concatenate([J for J, _ in problem._sensitivities(point, basis)], axis=1)
+    J, _ = sensitivities(problem, point, np.eye(len(basis)))
+    along, _ = sensitivities(problem, point, basis)
     assert np.abs(along).max() < 1e-9 * np.abs(J).max()
 
 
@@ -107,6 +115,17 @@ def test_a_long_record_ends_where_a_short_one_would(
     led = ssest(train, val, 3)
     for split in (train, val):
         assert simulation_rms(led, split) == pytest.approx(simulation_rms(at_once, split), rel=module.TOLERANCE)
+
+
+def test_the_starts_are_sought_once_for_both_feedthroughs(system: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = LinearStateSpace(*system(2, 1, 1, seed=4), 1.0)
+    train, val = records_of(plant, 1, 0.1), records_of(plant, 2, 0.1)
+    apart = [module.ssest(train, val, 2, feedthrough) for feedthrough in (False, True)]
+    searches = []
+    monkeypatch.setattr(module, "n4sid_candidates", lambda *args: searches.append(args) or n4sid_candidates(*args))
+    found = module.ssest_by_validation(train, val, 2)
+    assert len(searches) == 1
+    np.testing.assert_array_equal(found.markov(20), min(apart, key=lambda one: simulation_rms(one, val)).markov(20))
 
 
 def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:

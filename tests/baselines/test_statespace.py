@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nnss_cli.baselines.statespace import LinearStateSpace, propagate
+from nnss_cli.baselines.statespace import LONG, LinearStateSpace, propagate
 
 
 @given(n=st.integers(1, 8), K=st.sampled_from([1, 2, 63, 64, 65, 200, 1000, 1025]), seed=st.integers(0, 10**6))
@@ -20,6 +20,25 @@ def test_blocked_propagation_equals_the_plain_recursion(n: int, K: int, seed: in
         np.testing.assert_allclose(x[:, k], expected, rtol=1e-9, atol=1e-9)
         expected = expected @ A.T + w[:, k]
     np.testing.assert_allclose(x[:, K], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_machine_code_propagates_as_the_plain_recursion() -> None:
+    random = np.random.default_rng(0)
+    A = random.standard_normal((3, 3))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    w, x0 = random.standard_normal((2, LONG // 4, 3)), random.standard_normal((2, 3))
+    x = propagate(A.T, np.concatenate([w, w], axis=1), x0)  # neither is contiguous
+    expected = x0
+    for k in range(LONG // 2):
+        np.testing.assert_allclose(x[:, k], expected, rtol=1e-9, atol=1e-9)
+        expected = expected @ A + w[:, k % w.shape[1]]
+
+
+def test_states_decay_to_zero_without_subnormal_numbers() -> None:
+    """Which take twenty times as long, for as many samples as there are."""
+    x = propagate(np.array([[0.5, 0.1], [0.0, 0.4]]), np.zeros((LONG, 2)), np.ones(2))
+    assert not x[-1].any()
+    assert np.abs(x[x != 0]).min() > 1e-260
 
 
 def test_simulation_agrees_with_python_control(system: Callable) -> None:
@@ -51,9 +70,10 @@ def test_the_state_from_one_output_explains_it(system: Callable) -> None:
     np.testing.assert_allclose(model.C @ model.state_from_output(y0, u0) + model.D @ u0, y0)
 
 
-def test_an_unstable_system_overflows_quietly() -> None:
+@pytest.mark.parametrize("K", [1000, LONG])
+def test_an_unstable_system_overflows_quietly(K: int) -> None:
     model = LinearStateSpace(np.array([[10.0]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
-    y, _ = model.simulate(np.ones((1000, 1)), np.ones(1))
+    y, _ = model.simulate(np.ones((K, 1)), np.ones(1))
     assert not np.isfinite(y[-1])
 
 
