@@ -1,7 +1,7 @@
 """An incrementally stable layer in the fast engine: plain matrices and their derivatives by the free weights, cached.
 
-The matrices are few and the same for all samples, so torch and NumPy make and differentiate them, and compiled loops
-do the rest.
+The matrices are few and the same for all samples, so they are made and differentiated once for all, and the loops over
+samples know nothing of the weights.
 """
 
 from __future__ import annotations
@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.model.architecture import Architecture
-from nnss_cli.model.incremental import Lure
 from nnss_cli.training import lure_kernels as kernels
-from nnss_cli.training.lure_slopes import plain_and_slopes
+from nnss_cli.training.lure_matrices import Layout
 
 Arrays = tuple[FloatArray, ...]
 
@@ -27,7 +24,7 @@ class CompiledLure:
     def __init__(self, architecture: Architecture, views: Mapping[str, FloatArray]) -> None:
         """`views` are the layer's weights by name, which are read anew at each call."""
         self.architecture, self.views = architecture, views
-        self.layer = Lure(architecture)
+        self.layout = Layout(architecture)
         self.dtype = np.dtype(architecture.dtype)
         self._seen: FloatArray = np.empty(0)
         self._plain: Arrays = ()
@@ -41,19 +38,11 @@ class CompiledLure:
     def _vector(self) -> FloatArray:
         return np.concatenate([view.ravel() for view in self.views.values()]).astype(np.float64)
 
-    def _flat(self, vector: Tensor) -> Tensor:
-        """All matrices, row after row, from all free weights."""
-        parts = vector.split([view.size for view in self.views.values()])
-        named = zip(self.views.items(), parts, strict=True)
-        found = self.layer.plain({name: part.reshape(view.shape) for (name, view), part in named})
-        return torch.cat([part.ravel() for part in found])
-
     def plain(self) -> Arrays:
         """A, B, F, G, H, b, C, D, E of the weights as they are, in the model's precision."""
         vector = self._vector()
         if not self._plain or not np.array_equal(vector, self._seen):
-            with torch.no_grad():
-                flat = self._flat(torch.from_numpy(vector)).numpy()
+            flat = self.layout.matrices(vector)
             self._seen, self._slopes, self._plain = vector, None, self.cut(flat.astype(self.dtype))
         return self._plain
 
@@ -69,7 +58,7 @@ class CompiledLure:
         """Derivatives of all matrices, row after row, by the free weights, at those as they are."""
         self.plain()
         if self._slopes is None:
-            self._slopes = plain_and_slopes(self.architecture, self.views)[1]
+            self._slopes = self.layout.pulled_back(self._seen, np.eye(sum(part.size for part in self._plain)))
         return self._slopes
 
     def free_run(self, u: FloatArray, x0: FloatArray, y: FloatArray, x: FloatArray) -> None:
@@ -85,11 +74,8 @@ class CompiledLure:
         by_plain = [np.zeros_like(part) for part in plain]
         d_encoder[:], d_shift[:] = 0, 0
         loss = kernels.loss_and_gradient(*plain, encoder, shift, consistency, u, y, *by_plain, d_encoder, d_shift)
-        vector = torch.from_numpy(self._seen).requires_grad_()
-        flat = self._flat(vector)
-        towards = torch.from_numpy(np.concatenate([part.ravel() for part in by_plain]).astype(np.float64))
-        (found,) = torch.autograd.grad(flat, vector, towards)
-        gradient[: self.size] = found.numpy()
+        towards = np.concatenate([part.ravel() for part in by_plain]).astype(np.float64)
+        gradient[: self.size] = self.layout.pulled_back(self._seen, towards[None])[0]
         return float(loss)
 
     def sensitivities(

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.datasets.catalog import load
 from nnss_cli.datasets.record import Channels, Record, Scaling
@@ -17,8 +16,6 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.fast import Weights
 from nnss_cli.training.feedback import Feedback, feedback_start, fit_feedback
 from nnss_cli.training.fit import train_nnss
-from nnss_cli.training.lure import CompiledLure
-from nnss_cli.training.lure_slopes import plain_and_slopes
 from nnss_cli.training.lure_start import linear_layer, promising_basis, start_layer
 from nnss_cli.training.recipe import Recipe, recipe_of
 from nnss_cli.training.warm import linear_start
@@ -42,31 +39,6 @@ def lure_plant(n: int, m: int, seed: int, strength: float = 0.3) -> tuple[Feedba
         A, random.standard_normal((n, 1)), C, np.zeros((m, 1)), -strength * A @ C.T / np.linalg.norm(C) ** 2, 2 * C
     )
     return model, model.states(random.standard_normal((300, 1)), np.zeros(n))
-
-
-@pytest.mark.parametrize(
-    ("scheduling", "feedthrough", "gain"), [("x", False, 0.0), ("x+u", True, 0.0), ("x", False, 50.0)]
-)
-def test_the_derivatives_by_hand_are_those_of_torch(scheduling: str, feedthrough: bool, gain: float) -> None:
-    a = Architecture(
-        3,
-        2,
-        2,
-        (5,),
-        (4,),
-        scheduling,
-        0.95,
-        dtype="float64",
-        stability="incremental",
-        feedthrough=feedthrough,
-        gain=gain,
-    )
-    views = {name: part.detach().numpy() for name, part in make(a).generator.free().items()}
-    compiled = CompiledLure(a, views)
-    vector = torch.from_numpy(compiled._vector())
-    plain, slopes = plain_and_slopes(a, views)
-    np.testing.assert_allclose(slopes, torch.func.jacrev(compiled._flat)(vector).numpy(), atol=1e-12)
-    np.testing.assert_allclose(np.concatenate([part.ravel() for part in plain]), compiled._flat(vector), atol=1e-13)
 
 
 @pytest.mark.parametrize(("gamma", "gain"), [(1.0, 0.0), (0.99, 0.0), (1.0, 100.0)])
