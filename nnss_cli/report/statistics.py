@@ -107,6 +107,8 @@ def _ratio(a: float, b: float) -> float:
 
 def quantile(values: Sequence[float], q: float) -> float:
     """As NumPy's, between order statistics; ∞ where an infinite value has a part in it."""
+    if len(values) == 1:  # of a method without seeds, which most are
+        return float(values[0])
     ordered = np.sort(np.asarray(values, dtype=float))
     if np.isfinite(ordered).all():
         return float(np.quantile(ordered, q))
@@ -159,7 +161,7 @@ def paired_tests(table: pd.DataFrame) -> list[Comparison]:
     if len(table) < MIN_RECORDS:
         raise ValueError(f"expected at least {MIN_RECORDS} records, found {len(table)}: they support no test")
     pairs = list(itertools.combinations(mean_ranks(table).index, 2))
-    logs = np.log(table)
+    logs = {name: np.log(table[name].to_numpy()) for name in table}
     difference = np.array([logs[first] - logs[second] for first, second in pairs])
     tied = (difference == 0).any(axis=1)  # ties say nothing: these pairs have fewer records
     p = np.ones(len(pairs))

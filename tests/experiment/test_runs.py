@@ -386,6 +386,7 @@ def test_the_order_table_bears_what_linear_algebra_raises(
     assert [row.val is None for row in rows] == [False, True, False]
 
 
+@pytest.mark.usefixtures("weak_adversary")
 def test_only_runs_with_a_model_are_unbounded_under_stress(
     tmp_path: Path, small_data: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
