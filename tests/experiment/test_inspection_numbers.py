@@ -13,6 +13,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     LEVEL,
     Spectra,
     _first,
+    _size,
     band,
     excerpt,
     multiple_coherence,
@@ -494,3 +495,9 @@ def test_where_a_regularised_model_fails_or_would_take_long_there_are_no_hankel_
     for records, channels, outputs in ((short, 2, 1), (short, 31, 1), (short, 10, 1)):
         found = _hankel(records, channels, outputs)
         assert found.shape == (0,)
+
+
+def test_of_many_short_stretches_no_lag_is_longer_than_a_quarter_of_one() -> None:
+    stretches = [np.zeros((40, 2))] * 100
+    assert _size(stretches, 1) == (10, 10)
+    assert _size([np.zeros((4000, 2))], 1) == (20, 50)

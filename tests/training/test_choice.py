@@ -100,6 +100,13 @@ def test_an_alternative_is_a_change_of_the_best_so_far_and_its_rival_is_that_one
     assert told == [1, 4, 7, 10]  # three epochs of each before
 
 
+def test_what_won_twice_is_named_once(choose: Callable) -> None:
+    came = choose(Candidates([1.0, 0.7, 0.5, 0.3]), ("feedthrough", "integrator", "scheduling"))
+    assert list(came.candidates)[1:] == [
+        "feedthrough", "feedthrough with integrator", "feedthrough with integrator with scheduling on u",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(("error", "taken"), [(0.8, 0), (0.79, 1), (math.inf, 0)])
 def test_one_must_pay(error: float, taken: int, choose: Callable) -> None:
     found = Candidates([1.0, error])
