@@ -1,6 +1,6 @@
 """What a second process is worth: one sweep with --jobs 1 and with --jobs 2, by turns, as a ratio of wall times.
 
-python benchmarks/jobs.py --times 3
+python benchmarks/jobs.py
 
 Wall time counts, so it needs a machine with as many idle cores; the time on processors stands beside it. Where two jobs
 take more of that than one, they hinder each other; where wall time falls behind it, something else had the cores.
@@ -30,9 +30,9 @@ def table(out: Path) -> list[list[str]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--times", type=int, default=3, help="each; the median counts")
-    parser.add_argument("--seeds", type=int, default=12, help="runs of a sweep: a multiple of the jobs")
-    parser.add_argument("--epochs", type=int, default=150, help="of a run, by Adam, none of them stopped early")
+    parser.add_argument("--times", type=int, default=1, help="each; the median counts")
+    parser.add_argument("--seeds", type=int, default=40, help="runs of a sweep: a multiple of the jobs")
+    parser.add_argument("--epochs", type=int, default=300, help="of a run, by Adam, none of them stopped early")
     given = parser.parse_args()
     found: dict[int, list[Cost]] = {1: [], given.jobs: []}
     numbers = []

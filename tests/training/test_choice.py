@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from nnss_cli.datasets.record import Dataset, FittingData, Record
 
 from nnss_cli.errors import InputError
@@ -105,6 +106,16 @@ def test_what_won_twice_is_named_once(choose: Callable) -> None:
     assert list(came.candidates)[1:] == [
         "feedthrough", "feedthrough with integrator", "feedthrough with integrator with scheduling on u",
     ]  # fmt: skip
+
+
+def test_training_takes_one_thread_of_torch(choose: Callable) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        choose(Candidates([1.0]), ())
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(("error", "taken"), [(0.8, 0), (0.79, 1), (math.inf, 0)])
