@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -115,6 +116,22 @@ class Executor(Protocol):
     def close(self) -> None:
         """End at once whatever still runs; its futures end no more."""
         ...
+
+
+def seldom(tell: Callable[[Event], None], apart: float) -> Callable[[Event], None]:
+    """`tell` without the epochs that come sooner than `apart` seconds after what was told last.
+
+    To send, hear and show one takes a millisecond or two, of a core that another run could have.
+    """
+    told = -math.inf
+
+    def passed(event: Event) -> None:
+        nonlocal told
+        if event.epoch == 0 or time.monotonic() - told > apart:
+            told = time.monotonic()
+            tell(event)
+
+    return passed
 
 
 class Serial:

@@ -25,13 +25,14 @@ from typing import Any, TypeAlias
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.executor import Event, Limits, Lost, Task, work
+from nnss_cli.experiment.executor import Event, Limits, Lost, Task, seldom, work
 from nnss_cli.experiment.interrupt import SIGNALS, deferred
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
 from nnss_cli.plugins import Source, in_use, use
 
 MEMORY_POLL = 0.02  # seconds between looks at what a worker holds
+CHATTER = 0.2  # seconds between epochs that a worker tells
 FALSE_STARTS = 3  # workers in a row that end before they begin
 PR_SET_PDEATHSIG = 1
 
@@ -280,7 +281,7 @@ def _answer(
     try:
         if in_use() != plugins:
             use(plugins)
-        return Done(work(task, dataset, store, send))
+        return Done(work(task, dataset, store, seldom(send, CHATTER)))
     except InputError as error:
         return Refused(str(error))
 

@@ -7,7 +7,6 @@ import os
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +55,7 @@ def executed(
     from distributed import get_worker
 
     from nnss_cli.errors import InputError
-    from nnss_cli.experiment.executor import NO_LIMITS, Executor, Serial
+    from nnss_cli.experiment.executor import NO_LIMITS, Executor, Serial, seldom
     from nnss_cli.experiment.outcomes import results
     from nnss_cli.experiment.processes import Processes
     from nnss_cli.experiment.store import Store
@@ -69,15 +68,12 @@ def executed(
     if here != threads or (_LATE and not _started_with(threads)):
         wanted = " ".join(f"{name}={value}" for name, value in threads.items())
         return f"it computes with other threads, which changes last digits: start it with {wanted}"
-    worker, told = get_worker(), -CHATTER
+    worker = get_worker()
 
     def tell(event: Event) -> None:
-        nonlocal told
-        if event.epoch == 0 or time.monotonic() - told > CHATTER:
-            told = time.monotonic()
-            content = {"label": event.spec.label, "epoch": event.epoch, "val_rmse": event.val_rmse}
-            content |= {"waits_for": event.waits_for, "begun": event.begun}
-            worker.log_event(topic, content)
+        content = {"label": event.spec.label, "epoch": event.epoch, "val_rmse": event.val_rmse}
+        content |= {"waits_for": event.waits_for, "begun": event.begun}
+        worker.log_event(topic, content)
 
     with _ONE, tempfile.TemporaryDirectory(prefix="nnss-") as folder:
         store = Store(Path(folder), task.spec.dataset, task.spec.protocol)
@@ -86,9 +82,9 @@ def executed(
                 use(plugins)
             executor: Executor
             if limits == NO_LIMITS:
-                executor = Serial(dataset, store, tell)
+                executor = Serial(dataset, store, seldom(tell, CHATTER))
             else:
-                executor = Processes(1, dataset, store, limits, tell)
+                executor = Processes(1, dataset, store, limits, seldom(tell, CHATTER))
             with contextlib.closing(executor):
                 list(results([task], executor, dataset, store, {}))
         except InputError as error:

@@ -397,6 +397,23 @@ def test_a_run_tells_when_it_begins_and_each_epoch(store: Store, monkeypatch: py
     assert prepared == [spec().settings]
 
 
+def test_epochs_are_told_seldom_and_all_else_always(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 0.1, 0.25, 0.3, 0.5, 0.5, 0.6, 0.75])
+    now = [next(clock)]
+    monkeypatch.setattr(executor, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    heard: list[Event] = []
+    tell = executor.seldom(heard.append, 0.2)
+    events = [
+        Event(spec(), waits_for="compiling", begun=False), Event(spec(), 1, 0.5), Event(spec(), 2, 0.4),
+        Event(spec()), Event(spec(), waits_for="SSEST"), Event(spec(), 3, 0.3), Event(spec(), 4, 0.2),
+        Event(spec(), 5, 0.1),
+    ]  # fmt: skip
+    for event in events:
+        tell(event)
+        now[0] = next(clock, 9.0)
+    assert heard == [events[0], events[2], events[3], events[4], events[7]]
+
+
 def test_a_method_with_a_fault_costs_its_run_and_a_full_disk_the_command(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
