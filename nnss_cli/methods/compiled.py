@@ -2,7 +2,7 @@
 
 A run's scores, `nnss simulate` and a predictor's start all come from here, so they agree to the bit.
 
-torch is loaded for those of an NN-SS alone, and numba for long records alone.
+torch is not loaded for linear models, nor for short records.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import FloatArray, Simulation
 from nnss_cli.methods.protocol import Model
 
@@ -28,7 +29,7 @@ def free_run(model: Model, u: FloatArray, y_init: FloatArray) -> Simulation:
         u: inputs (K, r), physical units.
         y_init: first output samples (w, m), physical units.
     """
-    if len(u) < LONG:
+    if len(u) < LONG or isinstance(model, LinearModel):
         return model.simulate(u, y_init)
     from nnss_cli.model.ensemble import Ensemble
     from nnss_cli.model.nnss import NNSS
@@ -50,7 +51,7 @@ def free_run_from(model: Model, u: FloatArray, z0: FloatArray) -> Simulation | N
         u: inputs (K, r), physical units.
         z0: x(0), and the output before, in physical units, where that schedules.
     """
-    if len(u) < LONG:
+    if len(u) < LONG or isinstance(model, LinearModel):
         return None
     from nnss_cli.model.nnss import NNSS
 

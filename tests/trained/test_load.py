@@ -143,6 +143,19 @@ def test_a_runs_scores_are_of_the_same_simulation(
     np.testing.assert_allclose(signals["test/0/y_sim"], own, rtol=1e-9, atol=1e-9)
 
 
+def test_a_long_record_of_a_linear_model_needs_no_torch() -> None:
+    code = """import sys
+from nnss_cli.experiment.execute import simulate_splits
+from nnss_cli.methods import compiled, select
+from nnss_cli.testing import small_dataset
+dataset = small_dataset(K=90)
+compiled.LONG = 1
+model = select(["n4sid"])[0].fit(dataset.fitting, 2, 0, {"horizon": "matlab"}, None).model
+simulate_splits(model, dataset)
+assert "torch" not in sys.modules"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:
     """A copy of a model whose model.json has other values; without those that are None."""
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
