@@ -13,6 +13,7 @@ released with the NN-SS paper.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 
@@ -25,6 +26,7 @@ from nnss_cli.datasets.windows import Windows, sliding_windows
 
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import PATIENCE_UNITS, EarlyStopping, EpochCallback, named_random
+from nnss_cli.lock import compiling
 
 STARTS = ("n4sid", "random")
 INSIDE = 1 - 1e-6  # poles of a start on the unit circle are drawn in this far, relative to gamma
@@ -107,6 +109,14 @@ def initial_parameters(
     sizes = np.linalg.norm(start.B), np.linalg.norm(start.C)
     s = math.sqrt(sizes[1] / sizes[0]) if min(sizes) > 0 else 1.0
     return {"W": W, "V": V, "B": start.B * s, "C": start.C / s, "D": start.D.copy()}
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile the gradient, or read it from numba's cache, on a model of order 1."""
+    parameters = initial_parameters(None, 1, 1, 1, 1.0, np.random.default_rng(0))
+    with compiling(linear_adjoint):
+        loss_and_gradient(parameters, np.ones((2, 1, 2)), np.ones((2, 1, 2)))
 
 
 def loss_and_gradient(

@@ -27,6 +27,8 @@ from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import beginnings
 
+from nnss_cli.lock import compiling
+
 Criterion: TypeAlias = Literal["trace", "det"]
 
 CONSTRAINT = 1e3  # weight of C G = I against residuals of about one deviation
@@ -349,7 +351,8 @@ def warm_up() -> None:
     """Compile the loops, or read them from numba's cache, on a model of order 1."""
     one = np.ones((1, 1))
     u = np.random.default_rng(0).standard_normal(LONG)  # long enough for those of `propagate`
-    refine(LinearStateSpace(0.5 * one, one, one, 0 * one, 1.0), (Record(u, np.tanh(u), 1.0),), iterations=1)
+    with compiling(kernels.residuals):
+        refine(LinearStateSpace(0.5 * one, one, one, 0 * one, 1.0), (Record(u, np.tanh(u), 1.0),), iterations=1)
 
 
 def ssest_by_validation(

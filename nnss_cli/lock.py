@@ -7,7 +7,9 @@ import errno
 import os
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 try:
     import fcntl
@@ -47,6 +49,11 @@ def in_turn(path: Path) -> Iterator[None]:
         yield
     finally:
         _release(descriptor, path)
+
+
+def compiling(kernel: Any) -> AbstractContextManager[None]:
+    """Hold the right to compile what numba keeps beside this kernel, after whoever has it: all but one then read it."""
+    return in_turn(Path(kernel.stats.cache_path) / "compiling.lock")
 
 
 def _acquired(path: Path) -> int | None:

@@ -69,12 +69,9 @@ class SIMBa(Method):
 
     def prepare(self, settings: Settings) -> None:
         """Compile its gradient, or read it from numba's cache."""
-        import numpy as np
+        from nnss_cli.baselines.simba import warm_up
 
-        from nnss_cli.baselines.simba import initial_parameters, loss_and_gradient
-
-        parameters = initial_parameters(None, 1, 1, 1, 1.0, np.random.default_rng(0))
-        loss_and_gradient(parameters, np.ones((2, 1, 2)), np.ones((2, 1, 2)))
+        warm_up()
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train a linear model."""

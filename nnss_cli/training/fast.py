@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.windows import Windows
-from nnss_cli.lock import in_turn
+from nnss_cli.lock import compiling
 from nnss_cli.model import kernels
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.initial import state_from_window
@@ -157,17 +156,14 @@ def integrated(v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @functools.cache
 def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) -> None:
-    """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size.
-
-    Processes do so in turn: the first compiles for all, and none writes to the cache while another one does.
-    """
+    """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size."""
     from nnss_cli.datasets.record import Channels, Scaling
 
     hidden = (9,) if stability == "incremental" else (9, 1)
     architecture = Architecture(1, 1, 1, hidden=hidden, encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
     model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
-    with in_turn(Path(kernels.loss_and_gradient.stats.cache_path) / "compiling.lock"):
+    with compiling(kernels.loss_and_gradient):
         engine = FastEngine(model, [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype))
         engine.train_batch(np.arange(2), 1)
         engine.free_run(np.ones((2, 1)), np.ones(1))

@@ -11,6 +11,8 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from nnss_cli.baselines import simba, ssest
+from nnss_cli.baselines.kernels import linear_adjoint
 
 from nnss_cli import lock
 from nnss_cli.errors import InputError
@@ -19,6 +21,7 @@ from nnss_cli.experiment.run import RunResult, RunSpec, Score, score_outputs
 from nnss_cli.experiment.schema import check_place, check_signals, parse_result
 from nnss_cli.experiment.store import Store, records_of, stores
 from nnss_cli.experiment.tune import draw, settings_of
+from nnss_cli.model import kernels
 from nnss_cli.training import fast
 
 CHANNELS = {"inputs": ["u"], "outputs": ["y", "z"], "input_units": ["V"], "output_units": ["m", "K"]}
@@ -73,14 +76,19 @@ def test_what_killed_commands_left_is_removed_and_nothing_else(store: Store) -> 
     assert not store.run_folder(replace(SPEC, seed=2)).exists()
 
 
-def test_processes_compile_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("module", "worker", "given"),
+    [(fast, "FastEngine", ("float64",)), (ssest, "refine", ()), (simba, "loss_and_gradient", ())],
+)
+def test_processes_compile_in_turn(module: Any, worker: str, given: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     """Who finds another one compiling waits for its end, then reads what that has kept."""
     waits, done = threading.Event(), []
     sleep = time.sleep
     monkeypatch.setattr(lock.time, "sleep", lambda seconds: (waits.set(), sleep(seconds)))
-    monkeypatch.setattr(fast, "FastEngine", lambda *_: done.append(True) or MagicMock())
-    with lock.in_turn(Path(fast.kernels.loss_and_gradient.stats.cache_path) / "compiling.lock"):
-        other = threading.Thread(target=fast.warm_up.__wrapped__, args=("float64",))
+    monkeypatch.setattr(module, worker, lambda *_, **__: done.append(True) or MagicMock())
+    kernel = kernels.loss_and_gradient if module is fast else linear_adjoint
+    with lock.compiling(kernel):
+        other = threading.Thread(target=module.warm_up.__wrapped__, args=given)
         other.start()
         assert waits.wait(60)
         assert not done
