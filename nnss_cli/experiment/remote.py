@@ -75,6 +75,7 @@ def executed(
         content |= {"waits_for": event.waits_for, "begun": event.begun}
         worker.log_event(topic, content)
 
+    heard = seldom(tell, CHATTER)
     with _ONE, tempfile.TemporaryDirectory(prefix="nnss-") as folder:
         store = Store(Path(folder), task.spec.dataset, task.spec.protocol)
         try:
@@ -82,9 +83,9 @@ def executed(
                 use(plugins)
             executor: Executor
             if limits == NO_LIMITS:
-                executor = Serial(dataset, store, seldom(tell, CHATTER))
+                executor = Serial(dataset, store, heard)
             else:
-                executor = Processes(1, dataset, store, limits, seldom(tell, CHATTER))
+                executor = Processes(1, dataset, store, limits, heard)
             with contextlib.closing(executor):
                 list(results([task], executor, dataset, store, {}))
         except InputError as error:
