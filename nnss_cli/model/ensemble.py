@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Scaling, Simulation
+from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors, write_model
 from nnss_cli.system import System, system_of
-
-FreeRun: TypeAlias = Callable[[NNSS, FloatArray, FloatArray], Simulation]
 
 
 @dataclass(frozen=True)
@@ -38,26 +35,6 @@ class Ensemble:
     def scaling(self) -> Scaling:
         """Between physical and normalised units; all members have the same."""
         return self.members[0].scaling
-
-    @classmethod
-    def chosen(cls, candidates: Sequence[NNSS], data: FittingData, free_run: FreeRun | None = None) -> Ensemble:
-        """The better half of the candidates by validation, the middle one included.
-
-        The error is the root mean square over all outputs in units of their deviation, after the init window. Of the
-        rules tried (the k whose mean validates best, the best three, half, all), half held up best from one
-        half of the validation record to the other. Candidates are simulated by `free_run`, or by
-        themselves.
-        """
-        w = data.init_window
-        begin = w if w > 1 else 0
-        y = np.concatenate([record.y[begin:] for record in data.val])
-
-        def error(model: NNSS) -> float:
-            each = [(free_run or type(model).simulate)(model, record.u, record.y[:w]).y[begin:] for record in data.val]
-            simulated = np.concatenate(each)
-            return float(np.sqrt(np.mean(((simulated - y) / data.scaling.y_std) ** 2)))
-
-        return cls(tuple(sorted(candidates, key=error)[: (len(candidates) + 1) // 2]))
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """Free simulation of inputs (K, r) from the first output samples (w, m), physical units."""

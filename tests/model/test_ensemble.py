@@ -8,6 +8,7 @@ from nnss_cli.datasets.catalog import load
 from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling, Simulation
 
 from nnss_cli.methods import METHODS, load_model
+from nnss_cli.methods.ensemble import better_half
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 
@@ -33,10 +34,10 @@ def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> 
     def error(member: NNSS) -> float:
         return float(np.mean([np.mean((member.simulate(r.u, r.y[0]).y - r.y) ** 2) for r in data.val]))
 
-    chosen = Ensemble.chosen(members, data).members
+    chosen = better_half(members, data)
     assert len(chosen) == 2
     assert list(chosen) == sorted(members, key=error)[:2]
-    assert len(Ensemble.chosen(members[:1], data).members) == 1
+    assert len(better_half(members[:1], data)) == 1
 
 
 def test_saved_and_loaded_it_is_the_same(members: list[NNSS], tmp_path: Path) -> None:
@@ -71,7 +72,7 @@ def data_of(m: int, sigma: np.ndarray) -> FittingData:
 
 def test_members_are_chosen_on_validation_not_on_training() -> None:
     candidates = [Offset("fits", 0.1, 3.0, 7), Offset("generalises", 2.0, 0.2, 7), Offset("neither", 5.0, 4.0, 7)]
-    chosen = Ensemble.chosen(candidates, data_of(1, np.ones(1))).members  # type: ignore[arg-type]
+    chosen = better_half(candidates, data_of(1, np.ones(1)))
     assert [member.name for member in chosen] == ["generalises", "fits"]
 
 
@@ -82,5 +83,5 @@ def test_members_are_chosen_in_units_of_the_outputs_deviations() -> None:
 
     # 48 of σ = 480 and 0.009 of σ = 0.01, against 120 and 0.0025: the first is lower in physical units alone
     candidates = [Two("physical", 48.0, 0.009, 7), Two("normalised", 120.0, 0.0025, 7)]
-    chosen = Ensemble.chosen(candidates, data_of(2, np.array([480.0, 0.01]))).members  # type: ignore[arg-type]
+    chosen = better_half(candidates, data_of(2, np.array([480.0, 0.01])))
     assert [member.name for member in chosen] == ["normalised"]

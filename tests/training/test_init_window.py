@@ -13,7 +13,7 @@ from nnss_cli.datasets.record import Dataset, Record, Scaling, Simulation
 from nnss_cli.experiment.execute import simulate_splits
 from nnss_cli.experiment.order import order_table
 from nnss_cli.methods import METHODS
-from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.methods.ensemble import better_half
 from nnss_cli.training.engine import free_run_rmse
 from nnss_cli.training.feedback import Feedback
 from nnss_cli.training.fit import build_engine
@@ -134,4 +134,4 @@ class Off:
 
 def test_an_ensemble_does_not_judge_its_members_by_the_window(windowed: Dataset) -> None:
     good, poor = Off(windowed, 100.0, 0.1), Off(windowed, 0.0, 0.2)
-    assert Ensemble.chosen([poor, good], windowed.fitting).members == (good,)
+    assert better_half([poor, good], windowed.fitting) == (good,)
