@@ -16,7 +16,7 @@ from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.style import STYLE, style_of
 from nnss_cli.report.tables import number
-from nnss_cli.validation.gain import Gain
+from nnss_cli.validation.gain import ALONE, Gain
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
 from nnss_cli.validation.result import OutputCheck, Validation
@@ -41,7 +41,12 @@ def gain_lines(gains: Sequence[Gain]) -> list[str]:
     lines = []
     for number_, gain in enumerate(gains, start=1):
         whose = f"member {number_}: " if len(gains) > 1 else ""
-        if not gain.K.any():
+        if gain.origin == ALONE:
+            lines.append(
+                f"{whose}the model has no part in this: increments of inputs and outputs alone validate better; the "
+                f"observer's errors change by a factor of {gain.rate:.3g} a sample"
+            )
+        elif not gain.K.any():
             lines.append(f"{whose}K = 0: no gain predicts the validation record better than the simulation does")
         else:
             lines.append(

@@ -15,6 +15,9 @@ Candidates, the simplest first:
 4. The same with a disturbance of each output that the gain lets follow the errors, of increments with covariance q_d R:
    for where the model is off by an amount that hardly varies. One for each of a range of q_d, since what disturbs a
    model where it was not trained cannot be seen on train.
+5. Where none of these beats persistence, ŷ(k) = y(k−1), on validation, in every output: increments of the outputs from
+   those of inputs and past outputs (`nnss_cli.validation.disturbance`), 0 to 3 lags, without or with the model's.
+   Without, it has no part in the prediction, and `predict` says so. `validate` fails a model that needs either.
 
 A candidate whose observer δẑ(k+1) = (F(k) − K H(k)) δẑ(k) does not contract along the trajectories of training
 and validation is left out; of the others the simplest within 2 % of the lowest one-step error on validation is taken.
@@ -27,21 +30,33 @@ T. A. Badgwell, "Disturbance modeling for offset-free linear model predictive co
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import scipy.linalg
 
 from nnss_cli.baselines.subspace import inverse_root
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
+from nnss_cli.validation.disturbance import Disturbance, Increments, constant
+from nnss_cli.validation.predictor import Predictor, step_table
 from nnss_cli.validation.stepping import Stepper
+
+Found: TypeAlias = list[tuple[Disturbance | None, dict[str, FloatArray]]]
+"""Disturbances, and by name the gains that are candidates with each."""
 
 SAMPLES = 4096  # of train, and of validation, that are looked at: where the inputs vary most
 PIECE = 256  # samples of a piece of train; the pieces run side by side
 RATIOS = np.geomspace(1e-6, 1e4, 8)  # q
+LAGS = range(4)
+INCREMENTS = "increments"
+ALONE = "increments alone"
+"""The origin of a gain that corrects a regression in which the model has no part."""
 DISTURBANCES = 0.01, 0.1, 1.0, 10.0, 100.0  # q_d
 ROUNDS = 2
 ITERATIONS = 25
@@ -58,7 +73,8 @@ class Gain:
     K: FloatArray
     """(s, m), normalised units."""
     origin: str
-    """Which candidate validation took: "none" (K = 0), "Kalman", "least one-step error", or one with disturbance."""
+    """Which candidate validation took: "none" (K = 0), "Kalman", "least one-step error", one with disturbance,
+    `INCREMENTS`, or `ALONE`."""
     rate: float
     """Growth a sample of δẑ(k+1) = (F(k) − K H(k)) δẑ(k) over the training or validation
     record where it is largest, below 1 for a stable observer."""
@@ -66,6 +82,8 @@ class Gain:
     """Largest spectral radius of F(k) − K H(k) along these records; above 1 at times, rate may be below 1."""
     val: dict[str, float]
     """One-step RMSE on validation by candidate, normalised units, geometric mean over the outputs."""
+    disturbance: Disturbance | None = None
+    """What the outputs have beside the model's own, where K corrects that, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +119,37 @@ def estimate_gain(system: Stepper, train: Sequence[Record], val: Sequence[Record
     """
     none = {"none": np.zeros((system.size, system.outputs))}
     plain = none | _candidates(system, train, init_window, (0.0,))
-    disturbed = system.disturbed()
-    more = _candidates(disturbed, train, init_window, DISTURBANCES)
-    return _chosen([(system, plain), (disturbed, more)], train, val, init_window)
+    by = constant(train[0].input_count, system.outputs)
+    found = [(None, plain), (by, _candidates(system.disturbed(by), train, init_window, DISTURBANCES))]
+    gain = _chosen(system, found, train, val, init_window)
+    if _beats_persistence(system, gain, val, init_window):
+        return gain
+    return _chosen(system, found + _of_increments(system, train, init_window), train, val, init_window)
+
+
+def _beats_persistence(system: Stepper, gain: Gain, records: Sequence[Record], w: int) -> bool:
+    """Whether its one-step errors over the records are smaller than those of y(k−1), in every output."""
+    predictor = Predictor(system.model, (gain.K,), (gain.disturbance,))
+    try:
+        table = step_table(predictor, records, (1,), w)
+    except InputError:  # it leaves the range of numbers
+        return False
+    return bool((table.predicted < table.persistence).all())
+
+
+def _of_increments(system: Stepper, train: Sequence[Record], w: int) -> Found:
+    """The candidates with increments, by number of lags."""
+    u = [system.scaling.normalise_u(record.u) for record in train]
+    y = [system.scaling.normalise_y(record.y) for record in train]
+    h = [system.scaling.normalise_y(system.simulate(record.u, record.y[:w]).y) for record in train]
+    found: Found = []
+    for lags, alone in itertools.product(LAGS, (True, False)):
+        increments = Increments.fitted(u, y, h, lags, alone)
+        if increments is not None:
+            by, K = increments.disturbance()
+            own = np.zeros((system.size, system.outputs))
+            found.append((by, {f"{ALONE if alone else INCREMENTS}, {lags} lags": np.concatenate([own, K])}))
+    return found
 
 
 def _candidates(
@@ -143,7 +189,7 @@ def _stretches(records: Sequence[Record], inputs: int) -> list[Record]:
 def _begin(system: Stepper, record: Record, w: int) -> FloatArray:
     known = record[: min(w, len(record))]
     x0 = system.model.simulate(known.u, known.y).x[0]
-    return system.start(x0, system.scaling.normalise_y(record.y[0]))
+    return system.start(x0, system.scaling.normalise_y(record.y[0]), system.scaling.normalise_u(record.u[0]))
 
 
 def _cut(system: Stepper, train: Sequence[Record], w: int) -> _Pieces:
@@ -271,30 +317,29 @@ def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
     return best
 
 
-def _chosen(
-    found: Sequence[tuple[Stepper, dict[str, FloatArray]]], train: Sequence[Record], val: Sequence[Record], w: int
-) -> Gain:
+def _chosen(system: Stepper, found: Found, train: Sequence[Record], val: Sequence[Record], w: int) -> Gain:
     """The candidate with the smallest one-step errors on validation whose observer contracts there and on train."""
     records, known = _stretches(val, val[0].input_count), _stretches(train, train[0].input_count)
     judged = []
-    for system, candidates in found:
+    for by, candidates in found:
+        whole = system if by is None else system.disturbed(by)
         if candidates:
             K = np.stack(list(candidates.values()))
-            errors, paths = _judge(system, K, records, w)
-            paths += _judge(system, K, known, w)[1]
+            errors, paths = _judge(whole, K, records, w)
+            paths += _judge(whole, K, known, w)[1]
             for i, name in enumerate(candidates):
-                judged.append((float(errors[i]), name, system, K[i], [(z[:, i], u) for z, u in paths]))
+                judged.append((float(errors[i]), name, whole, by, K[i], [(z[:, i], u) for z, u in paths]))
     val_errors = {name: error for error, name, *_ in judged}
     stable = []
-    for error, name, system, K, paths in judged:
-        rate, radius = _contraction(system, K, paths)
+    for error, name, whole, by, K, paths in judged:
+        rate, radius = _contraction(whole, K, paths)
         if rate < 1 or name == "none":
-            stable.append((error, system, Gain(K, name.split(",")[0], rate, radius, val_errors)))
+            stable.append((error, whole, Gain(K, name.split(",")[0], rate, radius, val_errors, by)))
     lowest = min(error for error, _, _ in stable)  # K = 0 is among them
     # good ones as they come, the simplest first, then the others by their errors
     stable.sort(key=lambda each: 0 if each[0] <= MARGIN * lowest or not np.isfinite(lowest) else each[0])
-    whole = [record for records in (train, val) if sum(map(len, records)) > SAMPLES for record in records]
-    return next(gain for _, system, gain in stable if gain.origin == "none" or _serves(system, gain.K, whole, w))
+    long = [record for records in (train, val) if sum(map(len, records)) > SAMPLES for record in records]
+    return next(gain for _, whole, gain in stable if gain.origin == "none" or _serves(whole, gain.K, long, w))
 
 
 def _serves(system: Stepper, K: FloatArray, records: Sequence[Record], w: int) -> bool:

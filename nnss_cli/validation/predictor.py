@@ -17,6 +17,7 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
+from nnss_cli.validation.disturbance import Disturbance
 from nnss_cli.validation.guard import prior_strength, weights
 from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
@@ -28,8 +29,10 @@ class Predictor:
     model: Model
     """What runs between the corrections."""
     gains: tuple[FloatArray, ...]
-    """K (s, m) of each member, in normalised units: s is the order, m more where the previous output schedules, and m
-    more where a disturbance of the outputs follows the innovations, too (`nnss_cli.validation.stepping`)."""
+    """K (s, m) of each member, in normalised units: s is the order, m more where the previous output schedules, and
+    as many more as the state of a disturbance has."""
+    disturbances: tuple[Disturbance | None, ...] = ()
+    """What each member's outputs have beside its own, and the innovations correct, too; none for any where empty."""
 
     def predict(self, u: FloatArray, y: FloatArray, horizon: int | None, init_window: int = 1) -> FloatArray:
         """ŷ(k | k − h) for every k (K, m), physical units.
@@ -51,8 +54,10 @@ class Predictor:
     ) -> FloatArray:
         """What each member predicts at each horizon (horizons, members, K, m), physical units; see `predict`."""
         members = [
-            self._member(system, K, u, y, horizons, init_window)
-            for system, K in zip(steppers_of(self.model), self.gains, strict=True)
+            self._member(system if by is None else system.disturbed(by), K, u, y, horizons, init_window)
+            for system, K, by in zip(
+                steppers_of(self.model), self.gains, self.disturbances or [None] * len(self.gains), strict=True
+            )
         ]
         found = np.stack(members, axis=1)
         for each in found:
@@ -64,9 +69,7 @@ class Predictor:
     ) -> FloatArray:
         free = system.simulate(u, y[:w])
         known, inputs = system.scaling.normalise_y(y), system.scaling.normalise_u(u)
-        if len(K) > system.size:
-            system = system.disturbed()
-        z0 = system.start(free.x[0], known[0])
+        z0 = system.start(free.x[0], known[0], inputs[0])
         z, one_ahead = system.observe(K[None], z0[None], inputs[:, None], known[:, None])
         found = []
         for horizon in horizons:

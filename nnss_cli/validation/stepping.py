@@ -2,17 +2,17 @@
 
     z(k+1) = f(z(k), u(k)),   y(k) = h(z(k), u(k)),   F = ∂f/∂z,   H = ∂h/∂z
 
-z is the state x, and the previous output after it where that schedules. `disturbed` puts a constant disturbance of
-each output below it, y(k) = h(z(k), u(k)) + d(k), d(k+1) = d(k), which a gain can let follow what the model misses.
+z is the state x, and the previous output after it where that schedules. `disturbed` puts the state of a disturbance of
+the outputs below it (`nnss_cli.validation.disturbance`), which a gain can let follow what the model misses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import scipy.linalg
 import torch
 
 from nnss_cli.baselines.linear_model import LinearModel
@@ -24,6 +24,7 @@ from nnss_cli.methods.compiled import free_run
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.fast import Weights
+from nnss_cli.validation.disturbance import Disturbance
 
 CHUNK = 4096  # points whose step is taken at a time
 
@@ -51,16 +52,16 @@ class Stepper(Protocol):
         """Number of outputs m."""
         ...
 
-    def disturbed(self) -> Stepper:
-        """The same with a disturbance of each output in z."""
+    def disturbed(self, by: Disturbance) -> Stepper:
+        """The same with a disturbance of the outputs, whose state is the end of z."""
         ...
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """The model's free simulation, in physical units; of a long record in compiled code, equal up to rounding."""
         ...
 
-    def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
-        """z (s,) of a state x0 (n,) and the first output y0 (m,); no disturbance."""
+    def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
+        """z (s,) of a state x0 (n,), the first output y0 (m,) and the first input u0 (r,)."""
         ...
 
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -110,16 +111,16 @@ def _stepper(model: Model) -> Stepper:
 class Neural:
     """An NN-SS model by its own torch step; along a long record by the compiled one, which is equal up to rounding."""
 
-    def __init__(self, model: NNSS, disturbed: bool = False) -> None:
+    def __init__(self, model: NNSS) -> None:
         self.model, self.scaling = model, model.scaling
         a = model.architecture
-        self.outputs, self.order, self.has_disturbance = a.outputs, a.states, disturbed
+        self.outputs, self.order = a.outputs, a.states
         self.with_y = "y" in a.scheduling.split("+")
-        self.size = a.states + a.outputs * (self.with_y + disturbed)
+        self.size = a.states + a.outputs * self.with_y
 
-    def disturbed(self) -> Neural:
+    def disturbed(self, by: Disturbance) -> DisturbedNeural:
         """See `Stepper`."""
-        return Neural(self.model, True)
+        return DisturbedNeural(self, by)
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """See `Stepper`."""
@@ -134,21 +135,22 @@ class Neural:
         n, m = self.order, self.outputs
         before = z[:, n : n + m] if self.with_y else np.zeros((len(z), m))
         y, x = self._compiled.free_runs(np.stack([u.T, u.T]), before.T, z[:, :n].T)
-        d = z[:, self.size - m * self.has_disturbance :]
-        output = y[0].T.astype(np.float64)
-        following = [x[1].T.astype(np.float64), output, d] if self.with_y else [x[1].T.astype(np.float64), d]
-        return np.concatenate(following, axis=1), output + d if self.has_disturbance else output
+        output, following = y[0].T.astype(np.float64), x[1].T.astype(np.float64)
+        return np.concatenate([following, output], axis=1) if self.with_y else following, output
 
-    def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
+    def step_along(self, samples: int) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """What steps along a record of so many samples."""
+        return self.step if samples < compiled.LONG else self._compiled_step
+
+    def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
         """See `Stepper`."""
-        none = np.zeros(self.outputs * self.has_disturbance)
-        return np.concatenate([x0, y0, none] if self.with_y else [x0, none])
+        del u0
+        return np.concatenate([x0, y0]) if self.with_y else x0
 
     def _torch_step(self, z: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        x, before, d = z.split([self.order, self.outputs * self.with_y, self.outputs * self.has_disturbance], dim=1)
+        x, before = z.split([self.order, self.outputs * self.with_y], dim=1)
         following, y = self.model.step(x, u, before)
-        parts = [following, y, d] if self.with_y else [following, d]
-        return torch.cat(parts, dim=1), y + d if self.has_disturbance else y
+        return torch.cat([following, y], dim=1) if self.with_y else following, y
 
     @torch.no_grad()
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,44 +172,105 @@ class Neural:
 
     def observe(self, K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Stepper`."""
-        z, predicted = np.full((len(u) + 1, *z0.shape), np.nan), np.full(y.shape, np.nan)
-        z[0] = z0
-        step = self.step if len(u) < compiled.LONG else self._compiled_step
-        for k in range(len(u)):
-            following, predicted[k] = step(z[k], u[k])
-            with np.errstate(over="ignore", invalid="ignore"):
-                z[k + 1] = following + (K @ (y[k] - predicted[k])[..., None])[..., 0]
-        return z, predicted
+        return _observed(self.step_along(len(u)), K, z0, u, y)
 
     def _tensor(self, values: FloatArray) -> torch.Tensor:
         return torch.tensor(values, dtype=self.model.dtype)
 
 
+class DisturbedNeural:
+    """An NN-SS model and a disturbance of its outputs."""
+
+    def __init__(self, own: Neural, by: Disturbance) -> None:
+        self.own, self.by = own, by
+        self.model, self.scaling, self.outputs = own.model, own.scaling, own.outputs
+        self.size = own.size + by.size
+
+    def disturbed(self, by: Disturbance) -> DisturbedNeural:
+        """See `Stepper`; in place of the one it has."""
+        return self.own.disturbed(by)
+
+    def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
+        """See `Stepper`; of the model alone."""
+        return self.own.simulate(u, y_init)
+
+    def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
+        """See `Stepper`."""
+        z = self.own.start(x0, y0, u0)
+        h = self.own.step(z[None], u0[None])[1][0]
+        return np.concatenate([z, self.by.begin @ np.concatenate([y0, u0, h])])
+
+    def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Stepper`."""
+        return self._step(self.own.step, z, u)
+
+    def _step(
+        self, own: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], z: FloatArray, u: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        by, n = self.by, self.own.size
+        following, h = own(z[:, :n], u)
+        w, v = z[:, n:], np.concatenate([u, h], axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.concatenate([following, w @ by.A.T + v @ by.B.T], axis=1), w @ by.C.T + v @ by.D.T
+
+    def jacobians(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Stepper`."""
+        by, n, r = self.by, self.own.size, self.by.inputs
+        own, h = self.own.jacobians(z[:, :n], u)
+        F, H = np.zeros((len(z), self.size, self.size)), np.zeros((len(z), self.outputs, self.size))
+        F[:, :n, :n], F[:, n:, :n], F[:, n:, n:] = own, by.B[:, r:] @ h, by.A
+        H[:, :, :n], H[:, :, n:] = by.D[:, r:] @ h, by.C
+        return F, H
+
+    def observe(self, K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Stepper`."""
+        own = self.own.step_along(len(u))
+        return _observed(lambda z, v: self._step(own, z, v), K, z0, u, y)
+
+
+def _observed(
+    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+    K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """`Stepper.observe`, sample by sample."""
+    z, predicted = np.full((len(u) + 1, *z0.shape), np.nan), np.full(y.shape, np.nan)
+    z[0] = z0
+    for k in range(len(u)):
+        following, predicted[k] = step(z[k], u[k])
+        with np.errstate(over="ignore", invalid="ignore"):
+            z[k + 1] = following + (K @ (y[k] - predicted[k])[..., None])[..., 0]
+    return z, predicted
+
+
 class Linear:
     """A linear model: F = A, H = C everywhere."""
 
-    def __init__(self, model: LinearModel, disturbed: bool = False) -> None:
-        self.model, self.scaling, system = model, model.scaling, model.system
+    def __init__(self, model: LinearModel, by: Disturbance | None = None) -> None:
+        self.model, self.scaling, self.by, system = model, model.scaling, by, model.system
         self.outputs = len(system.C)
-        if disturbed:
-            one = np.eye(self.outputs)
-            B = np.concatenate([system.B, np.zeros_like(system.D)])
-            A, C = scipy.linalg.block_diag(system.A, one), np.concatenate([system.C, one], axis=1)
-            system = LinearStateSpace(A, B, C, system.D, system.Ts)
+        if by is not None:
+            r = by.inputs
+            driven, shown = by.B[:, r:], by.D[:, r:]  # by the model's own outputs
+            A = np.block([[system.A, np.zeros((system.order, by.size))], [driven @ system.C, by.A]])
+            B = np.concatenate([system.B, by.B[:, :r] + driven @ system.D])
+            C = np.concatenate([shown @ system.C, by.C], axis=1)
+            system = LinearStateSpace(A, B, C, by.D[:, :r] + shown @ system.D, system.Ts)
         self.system, self.size = system, system.order
 
-    def disturbed(self) -> Linear:
-        """See `Stepper`."""
-        return Linear(self.model, True)
+    def disturbed(self, by: Disturbance) -> Linear:
+        """See `Stepper`; in place of the one it has."""
+        return Linear(self.model, by)
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """See `Stepper`."""
         return self.model.simulate(u, y_init)
 
-    def start(self, x0: FloatArray, y0: FloatArray) -> FloatArray:
+    def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
         """See `Stepper`."""
-        del y0
-        return np.concatenate([x0, np.zeros(self.size - len(x0))])
+        if self.by is None:
+            return x0
+        own = self.model.system
+        return np.concatenate([x0, self.by.begin @ np.concatenate([y0, u0, own.C @ x0 + own.D @ u0])])
 
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Stepper`."""

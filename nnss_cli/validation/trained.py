@@ -234,7 +234,8 @@ def forecaster(trained: TrainedModel, data: Record | None = None, guarded: bool 
     steppers = steppers_of(trained.model)
     fitting = fitting_records(trained, data)
     gains = tuple(estimate_gain(each, fitting.train, fitting.val, trained.init_window) for each in steppers)
-    return Forecaster(trained, Predictor(trained.model, tuple(gain.K for gain in gains)), gains, fitting, guarded)
+    predictor = Predictor(trained.model, tuple(gain.K for gain in gains), tuple(gain.disturbance for gain in gains))
+    return Forecaster(trained, predictor, gains, fitting, guarded)
 
 
 def simulator(trained: TrainedModel) -> Predictor:

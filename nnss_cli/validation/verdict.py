@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from nnss_cli.datasets.record import Channels
+from nnss_cli.validation.gain import ALONE, INCREMENTS
 from nnss_cli.validation.linearisation import Linearisations
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import LEVEL, Whiteness
@@ -14,6 +15,7 @@ from nnss_cli.validation.result import OutputCheck, Stated
 
 COLOURED = 0.2  # a correlation at lag 1 that is worth a word
 MATTERS = 0.05  # share of the residuals' variance that a profile must explain to be told
+UNAIDED = "none does: what is predicted here is a regression on increments"
 CLOSE = 2.0  # percent of fit: as good as the linear limit
 
 
@@ -56,6 +58,8 @@ def stated(
                 f"its errors change by a factor of {max(corrected):.3g} a sample",
             )
         )
+    if any(origin in (INCREMENTS, ALONE) for origin in origins):
+        tests.append(Stated("on validation, a gain of the model beats persistence", False, UNAIDED))
     return tuple(tests)
 
 
@@ -79,6 +83,11 @@ def verdict(
                 f"'{each.name}': persistence predicts the next sample better than the model: look for an operating "
                 "range that training did not have, or an offset."
             )
+    if any(test.found == UNAIDED for test in tests):
+        lines.append(
+            "How inputs and outputs move tells the next sample better than this model: do not rely on its levels, and "
+            "read the tests of residuals as those of the regression."
+        )
     if radius >= 1:
         lines.append(f"A(x) has an eigenvalue of modulus {radius:.4g} on the trajectory: the model is not Schur there.")
     lines += _signs(linear, channels)

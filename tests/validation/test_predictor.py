@@ -18,9 +18,10 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel
-from nnss_cli.validation.gain import _candidates, _contraction, estimate_gain
+from nnss_cli.validation.disturbance import Disturbance, Increments, constant
+from nnss_cli.validation.gain import ALONE, _candidates, _contraction, estimate_gain
 from nnss_cli.validation.predictor import Predictor, persistence, step_table
-from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.stepping import Stepper, steppers_of
 
 HORIZONS = (1, 2, 5, 10, 20)
 
@@ -87,7 +88,7 @@ def test_prediction_does_not_depend_on_the_clock(model: Model) -> None:
     """From the state reached at k the predictor goes on as from the start of a record."""
     u, y = signals(model)
     for stepper, K in zip(steppers_of(model), gains(model, 0.1), strict=True):
-        z0 = stepper.start(stepper.model.simulate(u[:1], y[:1]).x[0], y[0])[None]
+        z0 = stepper.start(stepper.model.simulate(u[:1], y[:1]).x[0], y[0], u[0])[None]
         z, predicted = stepper.observe(K[None], z0, u[:, None], y[:, None])
         again, tail = stepper.observe(K[None], z[30], u[30:, None], y[30:, None])
         np.testing.assert_allclose(tail, predicted[30:], rtol=1e-9)
@@ -110,12 +111,24 @@ def test_a_record_that_begins_later_is_predicted_alike(
     assert np.abs(later[horizon] - whole[begin + horizon]).max() > 1e-3
 
 
-@pytest.mark.parametrize("disturbed", [False, True])
-def test_the_observer_is_the_equation(model: Model, disturbed: bool) -> None:
+def constant_of(stepper: Stepper) -> Disturbance:
+    """A disturbance of each output that does not vary."""
+    return constant(stepper.model.scaling.u_mean.size, stepper.outputs)
+
+
+def increments_of(stepper: Stepper) -> Disturbance:
+    """Increments from random coefficients, two lags."""
+    random, r, m = np.random.default_rng(9), stepper.model.scaling.u_mean.size, stepper.outputs
+    draw = (0.2 * random.standard_normal(shape) for shape in ((m, m), (2, m, m), (3, m, r)))
+    return Increments(*draw).disturbance()[0]
+
+
+@pytest.mark.parametrize("by", [None, constant_of, increments_of], ids=["none", "constant", "increments"])
+def test_the_observer_is_the_equation(model: Model, by: Callable[[Stepper], Disturbance] | None) -> None:
     """ẑ(k+1) = f(ẑ, u) + K (y − ŷ), step by step; linear models have it in one recursion."""
     u, y = signals(model)
     for plain in steppers_of(model):
-        stepper = plain.disturbed() if disturbed else plain
+        stepper = plain if by is None else plain.disturbed(by(plain))
         K = 0.2 * np.random.default_rng(5).standard_normal((stepper.size, stepper.outputs))
         z0 = np.random.default_rng(6).standard_normal((1, stepper.size))
         z, predicted = stepper.observe(K[None], z0, u[:, None], y[:, None])
@@ -125,7 +138,7 @@ def test_the_observer_is_the_equation(model: Model, disturbed: bool) -> None:
             np.testing.assert_allclose(predicted[k], expected, rtol=1e-5, atol=1e-7)
             at = following + (y[k] - expected) @ K.T
             np.testing.assert_allclose(z[k + 1], at, rtol=1e-5, atol=1e-7)
-        if disturbed:  # it adds to the output, and lasts
+        if by is constant_of:  # it adds to the output, and lasts
             shifted = z0 + np.r_[np.zeros(plain.size), np.ones(stepper.outputs)]
             np.testing.assert_allclose(stepper.step(shifted, u[:1])[1], stepper.step(z0, u[:1])[1] + 1, rtol=1e-5)
 
@@ -154,9 +167,9 @@ def test_along_a_long_record_it_is_the_same_in_compiled_code(
         simulation = compiled.free_run(model, u, y[:window])
         several = []  # candidates side by side, with a disturbance
         for plain in steppers_of(model):
-            system = plain.disturbed()
+            system = plain.disturbed(increments_of(plain))
             K = 0.05 * np.random.default_rng(3).standard_normal((4, system.size, system.outputs))
-            z0 = np.repeat(system.start(plain.model.simulate(u[:window], y[:window]).x[0], y[0])[None], 4, axis=0)
+            z0 = np.repeat(system.start(plain.model.simulate(u[:window], y[:window]).x[0], y[0], u[0])[None], 4, axis=0)
             several += system.observe(K, z0, *(np.repeat(signal[:, None], 4, axis=1) for signal in (u, y)))
         predicted = Predictor(model, gains(model, 0.05)).predict_each(u, y, (1, 5, None), window)
         return [simulation.y, simulation.x, predicted, *several]
@@ -219,7 +232,7 @@ def test_a_gain_holds_an_integrator_that_drifts() -> None:
     gain = estimate_gain(system, [record[:150]], [record[150:]])
     assert gain.origin != "none"
     assert gain.rate < 1
-    table = step_table(Predictor(model, (gain.K,)), [record[150:]], (1,))
+    table = step_table(Predictor(model, (gain.K,), (gain.disturbance,)), [record[150:]], (1,))
     assert (table.predicted[0] < table.persistence[0]).all()
     assert (table.predicted[0] < 0.5 * table.simulated).all()
 
@@ -295,7 +308,7 @@ def test_the_gain_that_made_the_data_is_found(linear: LinearModel, true_gain: Fl
     assert found.rate < 1
     refined = estimate_gain(stepper, (train,), (val,), 1)
     np.testing.assert_array_equal(refined.K, found.K)  # deterministic
-    error = step_table(Predictor(linear, (found.K,)), (test,), (1,), 1).predicted[0, 0]
+    error = step_table(Predictor(linear, (found.K,), (found.disturbance,)), (test,), (1,), 1).predicted[0, 0]
     best = step_table(Predictor(linear, (true_gain,)), (test,), (1,), 1).predicted[0, 0]
     assert error == pytest.approx(best, rel=0.02)
 
@@ -319,7 +332,7 @@ def test_an_offset_that_training_did_not_have_is_followed(linear: LinearModel, t
     (stepper,) = steppers_of(linear)
     found = estimate_gain(stepper, (train,), (val,), 1)
     assert "disturbance" in found.origin
-    table = step_table(Predictor(linear, (found.K,)), (test,), (1, 10), 1)
+    table = step_table(Predictor(linear, (found.K,), (found.disturbance,)), (test,), (1, 10), 1)
     assert table.predicted[0, 0] < 0.25 * table.simulated[0]
     assert table.predicted[1, 0] < 0.25 * table.simulated[0]
 
@@ -343,14 +356,14 @@ def test_persistence_repeats_what_was_measured() -> None:
 @pytest.mark.parametrize(
     ("name", "order"),
     [
-        ("twotank", 3), ("robotarm", 5), ("cascaded-tanks", 3), ("ced", 3),
+        ("twotank", 3), ("robotarm", 5), ("cascaded-tanks", 3), ("ced", 3), ("daisy-powerplant", 4),
         pytest.param("emps", 3, marks=pytest.mark.slow),
         pytest.param("silverbox", 2, marks=pytest.mark.slow),
         pytest.param("wiener-hammerstein", 6, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_one_step_ahead_it_beats_persistence_on_real_records(name: str, order: int, mirror: Path) -> None:
-    """With N4SID, on the test sets; the power plant, where it does not on all outputs, stands in docs/validation.md."""
+    """With N4SID, on the test sets, in every output."""
     benchmark = BENCHMARKS[name]
     fetch(benchmark, mirror=str(mirror), offline=True)
     dataset = load(name, "strict" if "strict" in benchmark.protocols else benchmark.protocols[0])
@@ -358,6 +371,9 @@ def test_one_step_ahead_it_beats_persistence_on_real_records(name: str, order: i
     model = LinearModel.of(subspace_model(fitting, order, "auto"), fitting)
     found = estimate_gain(steppers_of(model)[0], fitting.train, fitting.val, w)
     for records in dataset.tests.values():
-        table = step_table(Predictor(model, (found.K,)), [each[:20_000] for each in records], (1,), w)
+        table = step_table(
+            Predictor(model, (found.K,), (found.disturbance,)), [each[:20_000] for each in records], (1,), w
+        )
         assert (table.predicted[0] < 0.9 * table.persistence[0]).all()
         assert (table.predicted[0] < table.simulated).all()
+    assert (found.origin == ALONE) == (name == "daisy-powerplant")
