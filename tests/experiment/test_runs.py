@@ -11,6 +11,7 @@ import pytest
 import torch
 from nnss_cli.datasets.catalog import load
 from nnss_cli.datasets.record import Record, Scaling
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment import ablation
@@ -434,3 +435,22 @@ def test_threads_are_no_other_options(tmp_path: Path) -> None:
     other = replace(with_two, settings=with_two.settings | {"epochs": 6})
     assert difference(other, result) == "epochs 5 instead of 6"
     assert "epochs 5 instead of 6" in unlike(other, [result])
+
+
+def test_a_fit_has_one_blas_thread_whatever_was_loaded_before(tmp_path: Path) -> None:
+    """In a notebook NumPy is there before nnss, with as many threads as cores: eight times slower beside other work."""
+    seen: list[int] = []
+
+    class Counting(type(METHODS["n4sid"])):  # type: ignore[misc]
+        def fit(self, *_: object) -> Fit:
+            seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+            return Fit(None, diverged="counted")
+
+    store = store_for(tmp_path)
+    (spec,) = plan(store, load(store.dataset, store.protocol), select(["n4sid"]), [2], [0], {}, False).todo
+    with threadpool_limits(2, "blas"):
+        execute(spec, load(store.dataset, store.protocol), store, method=Counting())
+        outside = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+    assert seen
+    assert set(seen) == {1}
+    assert 2 in outside
