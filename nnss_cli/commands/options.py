@@ -228,7 +228,10 @@ FIT_OPTIONS: dict[str, Any] = {
     ),
     "threads": _training(int, "--threads", "1|2", "Of a fit, for long records; the numbers are the same."),
     "stability": _training(
-        str, "--stability", "schur|quadratic|incremental|none", "What is stable by construction (docs/stability.md)."
+        str,
+        "--stability",
+        "auto|schur|quadratic|incremental|none",
+        "What is stable by construction (docs/stability.md).",
     ),
     "gamma": _training(float, "--gamma", "γ", "Bound on what --stability bounds, at most 1."),
     "gain": _training(

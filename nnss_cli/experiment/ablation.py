@@ -43,7 +43,9 @@ STUDIES: dict[str, dict[str, Settings]] = {
         "with integrator": {"integrator": "yes"},
         "scheduling x+u": {"scheduling": "x+u"},
         "scheduling x+u, with feedthrough": {"scheduling": "x+u", "feedthrough": "yes"},
-        "no candidates": {"feedthrough": "no", "integrator": "no", "initial": "feedback"},
+        "without incremental layer": {"stability": "schur"},
+        "incremental layer": {"stability": "incremental", "hidden": (16,)},
+        "no candidates": {"feedthrough": "no", "integrator": "no", "stability": "schur", "initial": "feedback"},
     },
     "stability": {
         "schur": {"stability": "schur"},

@@ -97,11 +97,10 @@ class NNSS(Method):
         if settings["engine"] == "fast":
             from nnss_cli.training.fast import warm_up
 
-            warm_up(
-                settings["dtype"],
-                settings["stability"],
-                settings["optimiser"] == "gauss-newton" or settings["refine"] > 0,
-            )
+            second_order = settings["optimiser"] == "gauss-newton" or settings["refine"] > 0
+            stabilities = ("schur", "incremental") if settings["stability"] == "auto" else (settings["stability"],)
+            for stability in stabilities:
+                warm_up(settings["dtype"], stability, second_order)
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train an NN-SS model."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Any
 
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
 from nnss_cli.datasets.record import FittingData, Record
@@ -14,7 +15,7 @@ from nnss_cli.training.recipe import Recipe
 LEVEL = 0.01
 """Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
 PAYS = 0.2
-"""What a further candidate must take off the error, relative."""
+"""What a further candidate must take off the error, relative, unless it is a simpler one."""
 BLOCKS = 5
 """Blocks of cross-validation, at most."""
 SIMPLEST = "as it is"
@@ -22,6 +23,7 @@ ALTERNATIVES = {
     "feedthrough": "feedthrough",
     "integrator": "integrator",
     "scheduling": "scheduling on u",
+    "stability": "incremental layer",
     "initial": "cold start",
 }
 """Field of a recipe that leaves something open → the name of what is tried then."""
@@ -30,8 +32,10 @@ ALTERNATIVES = {
 def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
     """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
 
-    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, a
-    deep cold model where there are more weights than measured outputs.
+    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one,
+    an incrementally stable layer where the first stage is all there is and its weights do not outnumber the measured
+    outputs, a deep cold model where the generator's do. A layer of few weights is ahead on a short beginning of a
+    record, and may be behind on all of it.
 
     Args:
         data: physical units.
@@ -40,7 +44,11 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
         first: records of the first stage.
     """
     open_ones = recipe.alternatives(min(map(len, first)))
-    weights = recipe.simplest().architecture(order, data.input_count, data.output_count).weights
+    known = sum(record.y.size for record in data.train)
+
+    def weights(changes: dict[str, Any]) -> int:
+        return recipe.simplest().replace(**changes).architecture(order, data.input_count, data.output_count).weights
+
     speaks: dict[str, Callable[[], bool]] = {
         "feedthrough": lambda: feedthrough_p_value(data.train) <= LEVEL,
         "integrator": lambda: (
@@ -49,7 +57,10 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
             and longest_time_constant(data.train) >= max(map(len, data.train))
         ),
         "scheduling": lambda: True,
-        "initial": lambda: weights > sum(record.y.size for record in data.train),
+        "stability": lambda: (
+            sum(map(len, first)) == sum(map(len, data.train)) and weights(open_ones["stability"]) <= known
+        ),
+        "initial": lambda: weights({}) > known,
     }
     return tuple(name for name in open_ones if speaks[name]())
 
@@ -101,11 +112,12 @@ def pooled(errors: Sequence[float], lengths: Sequence[int]) -> float:
     return math.hypot(*(error * math.sqrt(length / total) for error, length in zip(errors, lengths, strict=True)))
 
 
-def pays(error: float, rival: float) -> bool:
-    """Whether a more complex candidate is taken: its error is lower than its rival's by more than `PAYS`.
+def pays(error: float, rival: float, simpler: bool = False) -> bool:
+    """Whether a candidate is taken: its error is lower than its rival's, by more than `PAYS` if it is more complex.
 
     Args:
         error: inf for one that diverged.
-        rival: of the simpler candidate.
+        rival: of the best candidate so far.
+        simpler: whether it has fewer weights than that, and promises more.
     """
-    return error < (1 - PAYS) * rival
+    return error < (1 if simpler else 1 - PAYS) * rival

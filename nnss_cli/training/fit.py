@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -24,8 +25,10 @@ from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.lure_start import linear_layer
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.warm import differences, linear_start, step_size, sum_up, warm_start
+from nnss_cli.training.warm import LinearStart, differences, linear_start, step_size, sum_up, warm_start
 
+LinearStarter: TypeAlias = Callable[[tuple[Record, ...], tuple[Record, ...], int, float, int, bool], LinearStart]
+"""`linear_start`, or what remembers its results."""
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
@@ -90,6 +93,7 @@ def train_nnss(
     train, val = data.normalised()
     first, *further = stages(train, recipe)
     names = worth_trying(data, order, recipe, first)
+    linear = _remembering()
     parts = [(first, val)]
     if names and recipe.judge == "blocks":
         parts += blocks(first, val, data.init_window)
@@ -102,7 +106,8 @@ def train_nnss(
         for (records, held), rival in zip(parts, rivals, strict=True):
             changes = recipe.alternatives(min(map(len, records))).get(alternative, {})
             report = _after(epochs, on_epoch)
-            tried.append(_Attempt(data, order, seed, base.replace(**changes), records, held, rival, clock, report))
+            candidate = base.replace(**changes)
+            tried.append(_Attempt(data, order, seed, candidate, records, held, rival, clock, report, linear))
             if not clock.up:
                 tried[-1].train(records, tried[-1].recipe.epochs)
             epochs += len(tried[-1].watch.losses)
@@ -117,6 +122,8 @@ def train_nnss(
     lengths = [sum(map(len, held)) for _, held in parts]
     errors: dict[str, float] = {SIMPLEST: pooled(rivals, lengths)}
     won: list[str] = []
+    reasons: list[str] = []
+    judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
     unfinished: list[str] = []
     alternatives = recipe.alternatives(min(map(len, first)))
     for name in names:
@@ -132,16 +139,19 @@ def train_nnss(
             continue
         label = " with ".join([*won[-1:], ALTERNATIVES[name]])
         errors[label] = pooled(found, lengths)
-        if pays(errors[label], pooled(rivals, lengths)):
+        before, after = (one.model.architecture.weights for one in (taken, tried))
+        simpler = name == "stability" and after < before
+        if pays(errors[label], pooled(rivals, lengths), simpler):
+            margin = f"with {after} weights for {before}" if simpler else f"by more than {PAYS:.0%}"
             taken, rivals = tried, found
             won.append(label)
+            reasons.append(f"{label} taken: it lowers the {judged} {margin}")
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
             taken.train(records, max(1, taken.recipe.epochs // 2**index))
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
-    judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
-    remarks = tuple(f"{name} taken: it lowers the {judged} by more than {PAYS:.0%}" for name in won)
+    remarks = tuple(reasons)
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
     if weights > outputs and taken.recipe.optimiser == "gauss-newton":
         remarks += (
@@ -179,6 +189,26 @@ def _after(before: int, on_epoch: EpochCallback | None) -> EpochCallback | None:
     return lambda epoch, loss, error: on_epoch(before + epoch, loss, error)
 
 
+def _remembering() -> LinearStarter:
+    """`linear_start` that makes SSEST's model once: candidates that differ in their generator alone share it."""
+    made: dict[tuple[object, ...], tuple[object, LinearStart]] = {}
+
+    def linear(
+        train: tuple[Record, ...],
+        val: tuple[Record, ...],
+        order: int,
+        gamma: float,
+        init_window: int,
+        feedthrough: bool,
+    ) -> LinearStart:
+        key = (*map(id, train), None, *map(id, val), order, gamma, init_window, feedthrough)
+        if key not in made:  # the records are kept, so that no other has their ids
+            made[key] = ((train, val), linear_start(train, val, order, gamma, init_window, feedthrough))
+        return made[key][1]
+
+    return linear
+
+
 class _Clock:
     """What is left of a budget [s]; without one, always something."""
 
@@ -210,6 +240,7 @@ class _Attempt:
         rival: float,
         clock: _Clock,
         on_epoch: EpochCallback | None,
+        linear: LinearStarter | None,
     ) -> None:
         """Build the model and its start from records of the first stage and of validation, normalised.
 
@@ -219,7 +250,7 @@ class _Attempt:
         self.recipe, self.seed = recipe, seed
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
-        self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window)
+        self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window, linear)
         self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
@@ -289,7 +320,13 @@ class _Attempt:
 
 
 def begin(
-    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int, init_window: int = 1
+    model: NNSS,
+    initial: str,
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    seed: int,
+    init_window: int = 1,
+    linear: LinearStarter | None = None,
 ) -> tuple[str, tuple[str, ...]]:
     """Fill the weights of `model` with the start asked for, or with the next that these data allow.
 
@@ -302,20 +339,27 @@ def begin(
         val: validation experiments.
         seed: of the random weights and the feedback's gain.
         init_window: first samples of a validation experiment that tell x(0).
+        linear: what remembers the results of `linear_start`, which is called where it is None.
 
     Returns:
         The start that was taken, and remarks on those that were not.
     """
     if not model.architecture.integrator:
-        return _begin(model, initial, train, val, seed, init_window)
+        return _begin(model, initial, train, val, seed, init_window, linear)
     size = step_size(train)
-    begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window)
+    begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window, linear)
     sum_up(model, size, train)
     return begun
 
 
 def _begin(
-    model: NNSS, initial: str, train: tuple[Record, ...], val: tuple[Record, ...], seed: int, init_window: int
+    model: NNSS,
+    initial: str,
+    train: tuple[Record, ...],
+    val: tuple[Record, ...],
+    seed: int,
+    init_window: int,
+    linear: LinearStarter | None,
 ) -> tuple[str, tuple[str, ...]]:
     """`begin` without a look at the integrator."""
     remarks: tuple[str, ...] = ()
@@ -334,13 +378,13 @@ def _begin(
     try:
         a = model.architecture
         waiting_for("SSEST, to start from")
-        linear = linear_start(train, val, a.order, a.gamma, init_window, a.feedthrough)
+        start = (linear or linear_start)(train, val, a.order, a.gamma, init_window, a.feedthrough)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
     if initial == "feedback":
         waiting_for("saturated feedback, to start from")
         try:
-            if feedback_start(model, linear, train, val, named_random(seed, "feedback"), init_window):
+            if feedback_start(model, start, train, val, named_random(seed, "feedback"), init_window):
                 return initial, remarks
             remarks += ("feedback start refused: no iterate validated better than the linear model",)
         except FAILURES as error:
@@ -348,9 +392,9 @@ def _begin(
             draw()  # what failed may have changed some weights
     try:
         if a.stability == "incremental":
-            linear_layer(model, linear, train, named_random(seed, "units"))
+            linear_layer(model, start, train, named_random(seed, "units"))
         else:
-            warm_start(model, linear)
+            warm_start(model, start)
     except FAILURES as error:
         draw()
         return "random", (*remarks, f"{failed('linear start', error)}: started from random weights")
@@ -372,8 +416,9 @@ class _Watch:
         on_epoch: EpochCallback | None,
     ) -> None:
         self.val, self.init_window, self.clock, self.on_epoch = val, init_window, clock, on_epoch
-        # Adam begins far behind whatever it comes to, and so does what was a start for differences
-        patient = recipe.optimiser == "adam" or recipe.integrator == "yes"
+        # Adam begins far behind whatever it comes to, so does what was a start for differences, and a layer of few
+        # weights goes on getting better where a generator of many has begun to overfit
+        patient = recipe.optimiser == "adam" or recipe.integrator == "yes" or recipe.stability == "incremental"
         self.rival, self.trial = rival, 0 if patient else max(1, int(TRIAL * recipe.epochs))
         self.stopping = EarlyStopping(recipe.patience, recipe.improvement)
         self.kept: Tensors = {}

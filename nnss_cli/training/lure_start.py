@@ -60,8 +60,8 @@ def start_layer(
         if basis is None:
             continue
         T, weight = basis
-        whole_layer, scale = with_idle_units(transformed(drawn, T), weight, x @ T.T, a, random)
         try:
+            whole_layer, scale = with_idle_units(transformed(drawn, T), weight, x @ T.T, a, random)
             layer.place(whole_layer, scale)
         except InputError:
             continue
@@ -162,6 +162,9 @@ def with_idle_units(
         x: its states (K, n).
         a: the layer's sizes.
         random: draws directions, slopes and centres.
+
+    Raises:
+        InputError: K leaves no room for them.
     """
     n, r, m, q, p = a.order, a.inputs, a.outputs, a.hidden[0], len(plain.G)
     idle, scale = q - p, np.full(p, 2.0 / weight)
@@ -176,7 +179,10 @@ def with_idle_units(
     room = np.eye(n + p + r * (a.gain > 0)) - (K := _matrix(plain, scale, a)).T @ K
     seen = slice(r * (a.gain > 0), r * (a.gain > 0) + n)
     inverse = np.linalg.inv(room)[seen, seen]  # of the Schur complement S
-    own = np.sqrt(np.einsum("ij,jk,ik->i", G, inverse, G) * max(idle, 1) / SHARE)
+    squares = np.einsum("ij,jk,ik->i", G, inverse, G) * max(idle, 1) / SHARE
+    if not (squares > 0).all():  # rounding, where poor data leave K no room
+        raise InputError("expected room beside the model for units without effect, found none")
+    own = np.sqrt(squares)
     found = PlainArrays(
         plain.A, plain.B, np.pad(plain.F, ((0, 0), (0, idle))), np.concatenate([plain.G, G]), np.zeros((q, r)),
         np.concatenate([plain.b, b]), plain.C, plain.D, np.zeros((m, q)),

@@ -33,8 +33,8 @@ class Recipe:
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
     stability: str = field(default="schur", metadata={"renamed": FORMERLY})
-    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together at γ)
-    or none."""
+    """What holds by construction: schur (ρ(A) < γ), quadratic (‖A‖ < γ), incremental (trajectories come together at γ,
+    and ρ(A) < γ) or none; auto for schur, or incremental where validation prefers it."""
     feedthrough: str = "no"
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     integrator: str = "no"
@@ -149,13 +149,15 @@ class Recipe:
             )
         return Architecture(
             order - outputs * integrator, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
-            "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype, self.stability,
-            self.feedthrough == "yes", integrator, self.gain,
+            "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype,
+            "schur" if self.stability == "auto" else self.stability, self.feedthrough == "yes", integrator, self.gain,
         )  # fmt: skip
 
     def simplest(self) -> Recipe:
         """The first candidate: where something is auto, the paper's structure, and the feedback start."""
-        plain = {"feedthrough": "no", "integrator": "no", "scheduling": "x", "initial": "feedback"}
+        plain = {
+            "feedthrough": "no", "integrator": "no", "scheduling": "x", "stability": "schur", "initial": "feedback",
+        }  # fmt: skip
         return self.replace(**{name: value for name, value in plain.items() if getattr(self, name) == "auto"})
 
     def alternatives(self, shortest: int) -> dict[str, dict[str, Any]]:
@@ -169,8 +171,12 @@ class Recipe:
             "feedthrough": {"feedthrough": "yes"},
             "integrator": {"integrator": "yes"},
             "scheduling": {"scheduling": "x+u"},
-            "initial": {**_COLD, "window": window},
+            # a unit of the layer has 2n weights and a few, where one of a generator has 5n²
+            "stability": {"stability": "incremental", "hidden": (2 * self.hidden[0],)},
+            "initial": {**_COLD, "window": window, "stability": self.simplest().stability},
         }
+        if len(self.hidden) > 1 or "y" in self.scheduling:
+            del found["stability"]  # its layer is one, and no previous output schedules it
         if self.stability == "incremental":
             del found["initial"]  # its generator is deep
             if self.gain:
@@ -199,7 +205,7 @@ COLD = frozenset(_COLD) - {"initial"} | {"window"}
 _BEST = Recipe(
     hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="auto",
     optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0, feedthrough="auto", integrator="auto",
-    lead=5000,
+    stability="auto", lead=5000,
 )  # fmt: skip
 _RECIPES = {"best": _BEST, "paper": _PAPER}
 

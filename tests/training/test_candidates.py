@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from nnss_cli.training import recipe as recipe_module
 from nnss_cli.training.candidates import blocks, pays, pooled, worth_trying
 from nnss_cli.training.fit import stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.warm import LinearStart, linear_start
 
 RECIPE = Recipe(
     hidden=(4,), encoder=(4,), dtype="float64", window=0, optimiser="gauss-newton", initial="feedback", epochs=40,
@@ -81,6 +83,82 @@ def test_a_candidate_must_pay() -> None:
     assert pays(2.0, np.inf)
     assert not pays(np.inf, np.inf)
     assert not pays(np.inf, 1.0)
+    assert pays(0.99, 1.0, simpler=True)
+    assert not pays(1.0, 1.0, simpler=True)
+    assert not pays(np.inf, np.inf, simpler=True)
+
+
+def few(base: Dataset) -> FittingData:
+    """So few and noisy samples that a generator of many weights fits the noise."""
+    random = np.random.default_rng(3)
+    noisy = [
+        replace(r, y=r.y + 0.3 * random.standard_normal(r.y.shape)) for r in records(without_feedthrough, 120, 400)
+    ]
+    return replace(base.fitting, train=(noisy[0],), val=(noisy[1],), scaling=Scaling.of((noisy[0],)))
+
+
+def test_an_incremental_layer_needs_no_margin(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of twice as many units, it has fewer weights and promises more than the generator that it is tried after."""
+    data = few(small_data())
+    recipe = RECIPE.replace(hidden=(6,), stability="auto", feedthrough="no")
+    auto, schur, layer = (
+        train_nnss(data, 2, 0, recipe.replace(**changes))
+        for changes in ({}, {"stability": "schur"}, {"stability": "incremental", "hidden": (12,)})
+    )
+    weights = schur.model.architecture.weights, layer.model.architecture.weights
+    assert weights[1] < weights[0]
+    assert auto.candidates["as it is"] == min([*schur.val_rmse, auto.candidates["as it is"]])
+    assert 0.8 < auto.candidates["incremental layer"] / auto.candidates["as it is"] < 1
+    assert auto.model.architecture == layer.model.architecture
+    assert auto.val_rmse == layer.val_rmse
+    said = f"incremental layer taken: it lowers the validation error with {weights[1]} weights for {weights[0]}"
+    assert said in auto.remarks
+    monkeypatch.setattr(module, "pays", lambda error, rival, _: pays(error, rival))
+    assert train_nnss(data, 2, 0, recipe).model.architecture == schur.model.architecture
+
+
+def test_candidates_share_ssests_model(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is made once for all that have no D, and once for those that have."""
+    made: list[bool] = []
+
+    def noting(train: Any, val: Any, order: int, gamma: float, init_window: int, feedthrough: bool) -> LinearStart:
+        made.append(feedthrough)
+        return linear_start(train, val, order, gamma, init_window, feedthrough)
+
+    monkeypatch.setattr(module, "linear_start", noting)
+    monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: 0.0)
+    training = train_nnss(few(small_data()), 2, 0, RECIPE.replace(stability="auto", epochs=2))
+    assert set(training.candidates) >= {"as it is", "feedthrough"}
+    assert len(training.candidates) == 3
+    assert sorted(made) == [False, True]
+
+
+def test_a_layer_is_tried_where_one_stage_is_all(small_data: Callable) -> None:
+    """It is ahead on short beginnings of long records, and may be behind on all of them."""
+    data = few(small_data())
+    auto = RECIPE.replace(stability="auto", feedthrough="no")
+    assert worth_trying(data, 2, auto, data.train) == ("stability",)
+    assert worth_trying(data, 2, auto.replace(lead=50), stages(data.train, auto.replace(lead=50))[0]) == ()
+    assert worth_trying(data, 2, auto.replace(stability="schur"), data.train) == ()
+    weights = auto.replace(stability="incremental", hidden=(8,)).architecture(2, 1, 1).weights
+    for samples, tried in ((weights, ("stability",)), (weights - 1, ())):
+        short = replace(data, train=(data.train[0][:samples],))
+        assert worth_trying(short, 2, auto, short.train) == tried
+    assert "stability" not in auto.replace(hidden=(4, 4)).alternatives(100)  # its layer is one
+    assert "stability" not in auto.replace(scheduling="x+y").alternatives(100)
+    assert auto.alternatives(100)["stability"]["hidden"] == (8,)
+    assert recipe_of("best", {}, 2).stability == "auto"
+    assert recipe_of("paper", {}, 2).stability == "schur"
+
+
+def test_a_cold_candidate_after_a_layer_is_the_papers_structure() -> None:
+    recipe = recipe_of("best", {}, 2)
+    layer, cold = (recipe.alternatives(100)[name] for name in ("stability", "initial"))
+    after = recipe.simplest().replace(**layer).replace(**cold)
+    assert (after.stability, after.hidden) == ("schur", (120,) * 6)
+    assert after.architecture(2, 1, 1).weights > 10_000
+    quadratic = recipe.replace(stability="quadratic")
+    assert quadratic.simplest().replace(**quadratic.alternatives(100)["initial"]).stability == "quadratic"
 
 
 def test_stages_are_beginnings_four_times_as_long_each_and_end_with_everything() -> None:

@@ -30,8 +30,9 @@ class Candidates:
 
     def attempt(
         self, data: Any, order: int, seed: int, recipe: Recipe, train: Any, val: Any, rival: float, clock: Any,
-        on_epoch: Any,
+        on_epoch: Any, linear: Any,
     ) -> Any:  # fmt: skip
+        del linear
         integrator = recipe.integrator == "yes"
         one = SimpleNamespace(
             recipe=recipe, order=order, seed=seed, records=train, held=val, rival=rival, error=next(self.errors),
