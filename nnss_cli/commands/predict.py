@@ -71,9 +71,12 @@ def command(
     if plot:
         from nnss_cli.report.figures import close_figure, save_figure
         from nnss_cli.report.simulation import draw_simulated
+        from nnss_cli.validation.gain import ALONE
 
+        # a reader of the figure alone must not take a regression's work for the model's
+        without = "increments alone, without " * all(gain.origin == ALONE for gain in predictor.gains)
         figure = draw_simulated(
-            found.seconds(trained.Ts), record.u, found.y, record.y, trained.channels, trained.label,
+            found.seconds(trained.Ts), record.u, found.y, record.y, trained.channels, without + trained.label,
             f"{horizon} step{'s' * (horizon != 1)} ahead{', guarded' * guard}",
             (*found.limits.pair, found.limits.name) if found.limits else None,
         )  # fmt: skip

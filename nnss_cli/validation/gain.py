@@ -131,7 +131,7 @@ def _beats_persistence(system: Stepper, gain: Gain, records: Sequence[Record], w
     """Whether its one-step errors over the records are smaller than those of y(k−1), in every output."""
     predictor = Predictor(system.model, (gain.K,), (gain.disturbance,))
     try:
-        table = step_table(predictor, records, (1,), w)
+        table = step_table(predictor, _stretches(records, records[0].input_count), (1,), w)
     except InputError:  # it leaves the range of numbers
         return False
     return bool((table.predicted < table.persistence).all())

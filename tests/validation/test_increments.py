@@ -12,6 +12,7 @@ from nnss_cli.baselines.n4sid import n4sid
 from nnss_cli.datasets.record import FloatArray, Record
 
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.report import simulation
 from nnss_cli.validation.disturbance import Increments
 from nnss_cli.validation.gain import ALONE, Gain, _beats_persistence, estimate_gain
 from nnss_cli.validation.predictor import Predictor, step_table
@@ -147,12 +148,18 @@ def test_they_are_not_tried_where_a_gain_will_do(plant_data: Callable, monkeypat
     assert "increments" not in found.origin
 
 
-def test_what_is_predicted_without_the_model_is_told_and_fails(nnss: Callable, plant_run: Callable[..., Path]) -> None:
+def test_what_is_predicted_without_the_model_is_told_and_fails(
+    nnss: Callable, plant_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     random = np.random.default_rng(5)
     u = np.cumsum(random.standard_normal(600))
     y = -8 * u + np.cumsum(3 * random.standard_normal(600))
     Path("new.csv").write_text("u1,y1\n" + "\n".join(f"{a:.17g},{b:.17g}" for a, b in zip(u, y, strict=True)))
-    done = nnss("predict", plant_run(), "new.csv", "--data", "new.csv")
+    drawn: list[str] = []
+    plain = simulation.draw_simulated
+    monkeypatch.setattr(simulation, "draw_simulated", lambda *args: drawn.append(args[5]) or plain(*args))
+    done = nnss("predict", plant_run(), "new.csv", "--data", "new.csv", "--plot")
+    assert drawn == ["increments alone, without ssest, order 2, seed 0, trained on plant (strict)"]
     assert done.code == 0, done.err
     assert "the model has no part in this: increments of inputs and outputs alone validate better" in done.out
     done = nnss("validate", plant_run(), "new.csv", "--data", "new.csv", "--json")
