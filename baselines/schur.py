@@ -155,11 +155,13 @@ def contracting_basis(A: FloatArray, gamma: float = 1.0) -> FloatArray:
     """T (n, n) such that ‖T A T⁻¹‖₂ < γ: T = P^(−1/2) with γ²P − A P Aᵀ = I.
 
     Raises:
-        InputError: ρ(A) ≥ γ, so there is none.
+        InputError: ρ(A) ≥ γ, so there is none, or so near to it that rounding leaves none.
     """
     radius = float(np.abs(np.linalg.eigvals(A)).max())
     if not radius < gamma:
         raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
     P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(len(A)))
     values, vectors = np.linalg.eigh((P + P.T) / 2)
+    if not values[0] > 0:
+        raise InputError(f"A has spectral radius {radius:.6g}, too near to gamma = {gamma:g} for its precision")
     return np.sqrt(values[0]) * (vectors / np.sqrt(values)) @ vectors.T

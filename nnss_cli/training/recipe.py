@@ -175,8 +175,8 @@ class Recipe:
             "stability": {"stability": "incremental", "hidden": (2 * self.hidden[0],)},
             "initial": {**_COLD, "window": window, "stability": self.simplest().stability},
         }
-        if len(self.hidden) > 1 or "y" in self.scheduling:
-            del found["stability"]  # its layer is one, and no previous output schedules it
+        if len(self.hidden) > 1 or "y" in self.scheduling or self.optimiser != "gauss-newton":
+            del found["stability"]  # one layer, no output that schedules, and no second run of Adam
         if self.stability == "incremental":
             del found["initial"]  # its generator is deep
             if self.gain:

@@ -146,6 +146,7 @@ def test_a_layer_is_tried_where_one_stage_is_all(small_data: Callable) -> None:
         assert worth_trying(short, 2, auto, short.train) == tried
     assert "stability" not in auto.replace(hidden=(4, 4)).alternatives(100)  # its layer is one
     assert "stability" not in auto.replace(scheduling="x+y").alternatives(100)
+    assert "stability" not in auto.replace(optimiser="adam").alternatives(100)
     assert auto.alternatives(100)["stability"]["hidden"] == (8,)
     assert recipe_of("best", {}, 2).stability == "auto"
     assert recipe_of("paper", {}, 2).stability == "schur"

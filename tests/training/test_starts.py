@@ -65,6 +65,25 @@ def test_where_ssest_fails_training_starts_at_random_and_says_so(kind: str) -> N
     assert fit.remarks[: len(training.remarks)] == training.remarks
 
 
+@pytest.mark.parametrize("kind", POOR)
+def test_a_layer_starts_where_it_can_on_poor_data(kind: str) -> None:
+    """Units without effect need room beside the model, which rounding may leave negative."""
+    u, y, _ = POOR[kind]
+    training = train_nnss(dataset(u, y), 3, 0, BEST.replace(stability="incremental"))
+    assert not training.diverged
+    assert (kind == "one constant output") == any("found none near it" in text for text in training.remarks)
+
+
+def test_what_may_be_taken_is_compiled_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr("nnss_cli.training.fast.warm_up", lambda _, stability, __: made.append(stability))
+    data = dataset(np.sin(k), np.cos(k))
+    for option, compiled in (({}, ["schur", "incremental"]), ({"stability": "quadratic"}, ["quadratic"])):
+        made.clear()
+        METHODS["nnss"].prepare(METHODS["nnss"].settings(data, 2, option))
+        assert made == compiled
+
+
 @pytest.mark.parametrize("name", ["n4sid", "ssest", "simba"])
 def test_the_reason_of_a_failure_is_a_sentence_about_the_data(name: str) -> None:
     method = METHODS[name]

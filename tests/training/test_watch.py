@@ -55,7 +55,14 @@ def epochs_until_it_ends(made: _Watch, most: int = 60) -> int:
 
 @pytest.mark.parametrize(
     ("changes", "ends"),
-    [({}, 10), ({"epochs": 39}, 0), ({"epochs": 44}, 11), ({"optimiser": "adam"}, 0), ({"integrator": "yes"}, 0)],
+    [
+        ({}, 10),
+        ({"epochs": 39}, 0),
+        ({"epochs": 44}, 11),
+        ({"optimiser": "adam"}, 0),
+        ({"integrator": "yes"}, 0),
+        ({"stability": "incremental"}, 0),
+    ],
 )
 def test_a_start_is_kept_when_a_quarter_of_the_epochs_and_ten_at_least_did_not_improve_it(
     changes: dict[str, Any], ends: int, monkeypatch: pytest.MonkeyPatch
