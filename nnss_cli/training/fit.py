@@ -121,7 +121,7 @@ def train_nnss(
         )
     lengths = [sum(map(len, held)) for _, held in parts]
     errors: dict[str, float] = {SIMPLEST: pooled(rivals, lengths)}
-    won: list[str] = []
+    held: list[str] = []
     reasons: list[str] = []
     judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
     unfinished: list[str] = []
@@ -137,14 +137,14 @@ def train_nnss(
         if clock.up and len(parts) > 1:  # some part was not trained to its end
             unfinished.append(name)
             continue
-        label = " with ".join([*won[-1:], ALTERNATIVES[name]])
+        kept = [won for won in held if (won, name) != ("stability", "initial")]  # a cold start takes a layer's place
+        label = " with ".join(ALTERNATIVES[each] for each in [*kept, name])
         errors[label] = pooled(found, lengths)
         before, after = (one.model.architecture.weights for one in (taken, tried))
         simpler = name == "stability" and after < before
         if pays(errors[label], pooled(rivals, lengths), simpler):
             margin = f"with {after} weights for {before}" if simpler else f"by more than {PAYS:.0%}"
-            taken, rivals = tried, found
-            won.append(label)
+            taken, rivals, held = tried, found, [*kept, name]
             reasons.append(f"{label} taken: it lowers the {judged} {margin}")
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:

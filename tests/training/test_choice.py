@@ -109,6 +109,14 @@ def test_what_won_twice_is_named_once(choose: Callable) -> None:
     ]  # fmt: skip
 
 
+def test_a_cold_start_takes_a_layers_place_in_the_name_too(choose: Callable) -> None:
+    came = choose(Candidates([1.0, 0.7, 0.5, 0.3]), ("feedthrough", "stability", "initial"))
+    assert list(came.candidates)[1:] == [
+        "feedthrough", "feedthrough with incremental layer", "feedthrough with cold start",
+    ]  # fmt: skip
+    assert came.taken.recipe.stability == "schur"
+
+
 def test_training_takes_one_thread_of_torch(choose: Callable) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(3)
