@@ -36,8 +36,8 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
-    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge` and `threads` were added; `initial` of
-    best became auto.
+    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge` and `threads` were added; `initial` and
+    `stability` of best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 

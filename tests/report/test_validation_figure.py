@@ -13,6 +13,7 @@ from nnss_cli.datasets.record import Channels
 
 from nnss_cli.report import validation as report
 from nnss_cli.report.figures import close_figure
+from nnss_cli.validation.gain import ALONE
 from nnss_cli.validation.linearisation import Linearisations, OperatingPoint
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Dependence, Profile, Whiteness
@@ -78,11 +79,15 @@ def test_a_guard_says_how_much_persistence_had() -> None:
 
 
 def test_a_gain_says_where_it_comes_from() -> None:
-    none, some = SimpleNamespace(K=np.zeros((2, 1))), SimpleNamespace(K=np.ones((2, 1)), origin="Kalman", rate=0.56789)
+    none = SimpleNamespace(K=np.zeros((2, 1)), origin="none")
+    some, alone = (SimpleNamespace(K=np.ones((2, 1)), origin=each, rate=0.56789) for each in ("Kalman", ALONE))
     zero = "K = 0: no gain predicts the validation record better than the simulation does"
     kalman = "gain: Kalman; the observer's errors change by a factor of 0.568 a sample"
     assert report.gain_lines([none]) == [zero]
     assert report.gain_lines([none, some]) == [f"member 1: {zero}", f"member 2: {kalman}"]
+    (told,) = report.gain_lines([alone])
+    assert told.startswith("the model has no part in this: increments of inputs and outputs alone validate better; ")
+    assert told.endswith("by a factor of 0.568 a sample")
 
 
 def test_outputs_residuals_points_and_tests_are_tabled() -> None:
