@@ -15,7 +15,6 @@ from nnss_cli.experiment.run import RunResult, RunSpec, Score, Status, score_out
 from nnss_cli.experiment.store import Store
 from nnss_cli.files import together
 from nnss_cli.iterative import EpochCallback
-from nnss_cli.machine import few_threads
 from nnss_cli.methods import METHODS, Fit, Method, Model, load_model
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.methods.registry import sound_fit
@@ -61,13 +60,12 @@ def execute(
     trained = 0.0  # seconds that the members of a combination have taken
     started = time.perf_counter()
     try:
-        with few_threads():
-            if "members" in spec.settings:
-                members = _members(method, spec, store)
-                fit = combined(method, members, dataset, store)
-                trained = sum(member.fit_seconds for member in members)
-            else:
-                fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
+        if "members" in spec.settings:
+            members = _members(method, spec, store)
+            fit = combined(method, members, dataset, store)
+            trained = sum(member.fit_seconds for member in members)
+        else:
+            fit = method.fit(dataset.fitting, spec.order, spec.seed, spec.settings, on_epoch)
         fit = sound_fit(fit, method)
         if fit.diverged:
             status, reason = "diverged", fit.diverged

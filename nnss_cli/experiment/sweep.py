@@ -16,6 +16,7 @@ from nnss_cli.experiment.processes import Processes
 from nnss_cli.experiment.provenance import LIBRARIES, MADE_ON, here
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Found, Store
+from nnss_cli.machine import few_threads
 from nnss_cli.methods import METHODS, Method, Settings, version_of
 from nnss_cli.methods.options import for_method
 
@@ -213,6 +214,7 @@ def _without_strays(
     return [result for result in existing if result.spec.label not in reasons]
 
 
+@few_threads()
 def sweep(
     specs: Sequence[RunSpec],
     dataset: Dataset,

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -122,7 +122,7 @@ def train_nnss(
     lengths = [sum(map(len, held)) for _, held in parts]
     errors: dict[str, float] = {SIMPLEST: pooled(rivals, lengths)}
     held: list[str] = []
-    reasons: list[str] = []
+    remarks: tuple[str, ...] = ()
     judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
     unfinished: list[str] = []
     alternatives = recipe.alternatives(min(map(len, first)))
@@ -145,13 +145,12 @@ def train_nnss(
         if pays(errors[label], pooled(rivals, lengths), simpler):
             margin = f"with {after} weights for {before}" if simpler else f"by more than {PAYS:.0%}"
             taken, rivals, held = tried, found, [*kept, name]
-            reasons.append(f"{label} taken: it lowers the {judged} {margin}")
+            remarks += (f"{label} taken: it lowers the {judged} {margin}",)
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
             taken.train(records, max(1, taken.recipe.epochs // 2**index))
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
-    remarks = tuple(reasons)
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
     if weights > outputs and taken.recipe.optimiser == "gauss-newton":
         remarks += (
@@ -193,17 +192,10 @@ def _remembering() -> LinearStarter:
     """`linear_start` that makes SSEST's model once: candidates that differ in their generator alone share it."""
     made: dict[tuple[object, ...], tuple[object, LinearStart]] = {}
 
-    def linear(
-        train: tuple[Record, ...],
-        val: tuple[Record, ...],
-        order: int,
-        gamma: float,
-        init_window: int,
-        feedthrough: bool,
-    ) -> LinearStart:
-        key = (*map(id, train), None, *map(id, val), order, gamma, init_window, feedthrough)
+    def linear(train: tuple[Record, ...], val: tuple[Record, ...], *rest: Any) -> LinearStart:
+        key = (*map(id, train), None, *map(id, val), *rest)
         if key not in made:  # the records are kept, so that no other has their ids
-            made[key] = ((train, val), linear_start(train, val, order, gamma, init_window, feedthrough))
+            made[key] = ((train, val), linear_start(train, val, *rest))
         return made[key][1]
 
     return linear
@@ -240,7 +232,7 @@ class _Attempt:
         rival: float,
         clock: _Clock,
         on_epoch: EpochCallback | None,
-        linear: LinearStarter | None,
+        linear: LinearStarter,
     ) -> None:
         """Build the model and its start from records of the first stage and of validation, normalised.
 
@@ -344,6 +336,7 @@ def begin(
     Returns:
         The start that was taken, and remarks on those that were not.
     """
+    linear = linear or linear_start
     if not model.architecture.integrator:
         return _begin(model, initial, train, val, seed, init_window, linear)
     size = step_size(train)
@@ -359,7 +352,7 @@ def _begin(
     val: tuple[Record, ...],
     seed: int,
     init_window: int,
-    linear: LinearStarter | None,
+    linear: LinearStarter,
 ) -> tuple[str, tuple[str, ...]]:
     """`begin` without a look at the integrator."""
     remarks: tuple[str, ...] = ()
@@ -378,7 +371,7 @@ def _begin(
     try:
         a = model.architecture
         waiting_for("SSEST, to start from")
-        start = (linear or linear_start)(train, val, a.order, a.gamma, init_window, a.feedthrough)
+        start = linear(train, val, a.order, a.gamma, init_window, a.feedthrough)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
     if initial == "feedback":

@@ -87,6 +87,19 @@ class Gain:
 
 
 @dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A gain, and what came of it on validation and training."""
+
+    name: str
+    error: float  # one step ahead on validation
+    system: Stepper  # with the disturbance
+    by: Disturbance | None
+    K: FloatArray
+    rate: float
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Pieces:
     """Contiguous pieces of the training records, side by side."""
 
@@ -120,11 +133,13 @@ def estimate_gain(system: Stepper, train: Sequence[Record], val: Sequence[Record
     none = {"none": np.zeros((system.size, system.outputs))}
     plain = none | _candidates(system, train, init_window, (0.0,))
     by = constant(train[0].input_count, system.outputs)
-    found = [(None, plain), (by, _candidates(system.disturbed(by), train, init_window, DISTURBANCES))]
-    gain = _chosen(system, found, train, val, init_window)
+    found: Found = [(None, plain), (by, _candidates(system.disturbed(by), train, init_window, DISTURBANCES))]
+    judged = _judged(system, found, train, val, init_window)
+    gain = _chosen(judged, train, val, init_window)
     if _beats_persistence(system, gain, val, init_window):
         return gain
-    return _chosen(system, found + _of_increments(system, train, init_window), train, val, init_window)
+    judged += _judged(system, _of_increments(system, train, init_window), train, val, init_window)
+    return _chosen(judged, train, val, init_window)
 
 
 def _beats_persistence(system: Stepper, gain: Gain, records: Sequence[Record], w: int) -> bool:
@@ -317,8 +332,8 @@ def _refined(line: _Line, pieces: _Pieces) -> FloatArray:
     return best
 
 
-def _chosen(system: Stepper, found: Found, train: Sequence[Record], val: Sequence[Record], w: int) -> Gain:
-    """The candidate with the smallest one-step errors on validation whose observer contracts there and on train."""
+def _judged(system: Stepper, found: Found, train: Sequence[Record], val: Sequence[Record], w: int) -> list[_Candidate]:
+    """Each candidate with what its observer does along training and validation."""
     records, known = _stretches(val, val[0].input_count), _stretches(train, train[0].input_count)
     judged = []
     for by, candidates in found:
@@ -328,18 +343,21 @@ def _chosen(system: Stepper, found: Found, train: Sequence[Record], val: Sequenc
             errors, paths = _judge(whole, K, records, w)
             paths += _judge(whole, K, known, w)[1]
             for i, name in enumerate(candidates):
-                judged.append((float(errors[i]), name, whole, by, K[i], [(z[:, i], u) for z, u in paths]))
-    val_errors = {name: error for error, name, *_ in judged}
-    stable = []
-    for error, name, whole, by, K, paths in judged:
-        rate, radius = _contraction(whole, K, paths)
-        if rate < 1 or name == "none":
-            stable.append((error, whole, Gain(K, name.split(",")[0], rate, radius, val_errors, by)))
-    lowest = min(error for error, _, _ in stable)  # K = 0 is among them
+                rate, radius = _contraction(whole, K[i], [(z[:, i], u) for z, u in paths])
+                judged.append(_Candidate(name, float(errors[i]), whole, by, K[i], rate, radius))
+    return judged
+
+
+def _chosen(judged: Sequence[_Candidate], train: Sequence[Record], val: Sequence[Record], w: int) -> Gain:
+    """The candidate with the smallest one-step errors on validation whose observer contracts there and on train."""
+    stable = [each for each in judged if each.rate < 1 or each.name == "none"]
+    lowest = min(each.error for each in stable)  # K = 0 is among them
     # good ones as they come, the simplest first, then the others by their errors
-    stable.sort(key=lambda each: 0 if each[0] <= MARGIN * lowest or not np.isfinite(lowest) else each[0])
+    stable.sort(key=lambda each: 0 if each.error <= MARGIN * lowest or not np.isfinite(lowest) else each.error)
     long = [record for records in (train, val) if sum(map(len, records)) > SAMPLES for record in records]
-    return next(gain for _, whole, gain in stable if gain.origin == "none" or _serves(whole, gain.K, long, w))
+    best = next(each for each in stable if each.name == "none" or _serves(each.system, each.K, long, w))
+    errors = {each.name: each.error for each in judged}
+    return Gain(best.K, best.name.split(",")[0], best.rate, best.radius, errors, best.by)
 
 
 def _serves(system: Stepper, K: FloatArray, records: Sequence[Record], w: int) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
@@ -26,6 +26,8 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.fast import Weights
 from nnss_cli.validation.disturbance import Disturbance
 
+Step: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""z(k+1) (b, s) and y(k) (b, m) from z (b, s) and u (b, r)."""
 CHUNK = 4096  # points whose step is taken at a time
 
 
@@ -138,7 +140,7 @@ class Neural:
         output, following = y[0].T.astype(np.float64), x[1].T.astype(np.float64)
         return np.concatenate([following, output], axis=1) if self.with_y else following, output
 
-    def step_along(self, samples: int) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    def step_along(self, samples: int) -> Step:
         """What steps along a record of so many samples."""
         return self.step if samples < compiled.LONG else self._compiled_step
 
@@ -204,9 +206,7 @@ class DisturbedNeural:
         """See `Stepper`."""
         return self._step(self.own.step, z, u)
 
-    def _step(
-        self, own: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], z: FloatArray, u: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _step(self, own: Step, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         by, n = self.by, self.own.size
         following, h = own(z[:, :n], u)
         w, v = z[:, n:], np.concatenate([u, h], axis=1)
@@ -229,7 +229,7 @@ class DisturbedNeural:
 
 
 def _observed(
-    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+    step: Step,
     K: FloatArray, z0: FloatArray, u: FloatArray, y: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """`Stepper.observe`, sample by sample."""

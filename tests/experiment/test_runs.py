@@ -437,19 +437,19 @@ def test_threads_are_no_other_options(tmp_path: Path) -> None:
     assert "epochs 5 instead of 6" in unlike(other, [result])
 
 
-def test_a_fit_has_one_blas_thread_whatever_was_loaded_before(tmp_path: Path) -> None:
+def test_a_fit_has_one_blas_thread_whatever_was_loaded_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a notebook NumPy is there before nnss, with as many threads as cores: eight times slower beside other work."""
     seen: list[int] = []
 
-    class Counting(type(METHODS["n4sid"])):  # type: ignore[misc]
-        def fit(self, *_: object) -> Fit:
-            seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
-            return Fit(None, diverged="counted")
+    def counted(*_: object) -> Fit:
+        seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return Fit(None, diverged="counted")
 
-    store = store_for(tmp_path)
-    (spec,) = plan(store, load(store.dataset, store.protocol), select(["n4sid"]), [2], [0], {}, False).todo
+    monkeypatch.setattr(METHODS["n4sid"], "fit", counted)
+    store, dataset = store_for(tmp_path), load("twotank-sim", "strict")
+    todo = plan(store, dataset, select(["n4sid"]), [2], [0], {}, False).todo
     with threadpool_limits(2, "blas"):
-        execute(spec, load(store.dataset, store.protocol), store, method=Counting())
+        sweep(todo, dataset, store, 1, NOTHING, NOTHING)
         outside = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
     assert seen
     assert set(seen) == {1}

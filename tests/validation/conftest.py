@@ -15,6 +15,7 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import select
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.validation.stepping import Stepper
 
 A = np.array([[1.5, -0.7], [1.0, 0.0]])
 PLANT = LinearStateSpace(A, np.array([[1.0], [0.0]]), np.array([[1.0, 0.5]]), np.zeros((1, 1)), 0.5)
@@ -47,6 +48,21 @@ def neural() -> Callable[..., NNSS]:
         return model
 
     return made
+
+
+@pytest.fixture
+def jacobians_agree() -> Callable[[Stepper, np.ndarray, np.ndarray], None]:
+    """Asserts that a stepper's Jacobians at z (b, s) and u (b, r) are the central differences of its step."""
+
+    def check(system: Stepper, z: np.ndarray, u: np.ndarray) -> None:
+        F, H = system.jacobians(z, u)
+        for i in range(system.size):
+            d = 1e-6 * np.eye(system.size)[i]
+            (ahead, y1), (behind, y0) = system.step(z + d, u), system.step(z - d, u)
+            np.testing.assert_allclose(F[:, :, i], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-7)
+            np.testing.assert_allclose(H[:, :, i], (y1 - y0) / 2e-6, rtol=1e-5, atol=1e-7)
+
+    return check
 
 
 def plant_dataset(K: int = 1800, noise: float = 0.5, coloured: bool = False, seed: int = 0) -> Dataset:

@@ -35,7 +35,8 @@ def test_a_gain_that_is_lost_along_a_whole_record_is_not_taken(
     candidates = {name: np.full((1, 1), K) for name, K in (("none", 0.0), ("lively", 1.0), ("steady", 2.0))}
     lengths = {"train": 50, "val": 50} | {long: SAMPLES + 1}
     records = {name: [record(length)] for name, length in lengths.items()}
-    found = gain._chosen(SimpleNamespace(), [(None, candidates)], records["train"], records["val"], 1)  # type: ignore[arg-type]
+    data = records["train"], records["val"], 1
+    found = gain._chosen(gain._judged(SimpleNamespace(), [(None, candidates)], *data), *data)  # type: ignore[arg-type]
     assert found.origin == taken
 
 
@@ -55,6 +56,7 @@ def test_an_observer_that_grows_along_training_is_not_taken(monkeypatch: pytest.
 
     system = SimpleNamespace(size=1, jacobians=jacobians)
     candidates = {"none": np.zeros((1, 1)), "lively": np.ones((1, 1))}
-    found = gain._chosen(system, [(None, candidates)], [record(60)], [record(40)], 1)  # type: ignore[arg-type]
+    data = [record(60)], [record(40)], 1
+    found = gain._chosen(gain._judged(system, [(None, candidates)], *data), *data)  # type: ignore[arg-type]
     assert found.origin == "none"
     assert found.rate == pytest.approx(2.5)
