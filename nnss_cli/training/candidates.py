@@ -7,15 +7,19 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
-from nnss_cli.datasets.record import FittingData, Record
+from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.training.recipe import Recipe
 
 LEVEL = 0.01
-"""Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
+"""Of the test whether u(k) shows in y(k), at most, or no feedthrough is tried; and of that of a lower error."""
 PAYS = 0.2
-"""What a further candidate must take off the error, relative, unless it is a simpler one."""
+"""What a further candidate must take off the error, relative, unless it is a simpler one, or surely better."""
+STRETCHES = 8
+"""Of a validation record, whose mean square errors are compared one by one."""
 BLOCKS = 5
 """Blocks of cross-validation, at most."""
 SIMPLEST = "as it is"
@@ -112,12 +116,41 @@ def pooled(errors: Sequence[float], lengths: Sequence[int]) -> float:
     return math.hypot(*(error * math.sqrt(length / total) for error, length in zip(errors, lengths, strict=True)))
 
 
-def pays(error: float, rival: float, simpler: bool = False) -> bool:
-    """Whether a candidate is taken: its error is lower than its rival's, by more than `PAYS` if it is more complex.
+def chance(squares: FloatArray, rival: FloatArray) -> float:
+    """How likely so much lower squares are by chance, where on the average they are not lower: a one-sided p-value.
+
+    Neighbouring errors of a simulation are alike, so samples are no evidence each. Student's test is of the mean
+    differences over `STRETCHES` consecutive stretches, which may have any variances and hardly depend on each other.
+    Source: R. Ibragimov and U. Müller, "t-statistic based correlation and heterogeneity robust inference", Journal of
+    Business & Economic Statistics 28(4), 2010; of forecasts' errors, F. Diebold and R. Mariano, ibid. 13(3), 1995.
+
+    Args:
+        squares: of a candidate's errors on what was held out (K,), in order.
+        rival: of its rival's.
+
+    Returns:
+        1 where there are fewer than two samples a stretch.
+    """
+    if len(squares) < 2 * STRETCHES:
+        return 1.0
+    means = np.array([part.mean() for part in np.array_split(rival - squares, STRETCHES)])
+    spread = float(means.std(ddof=1))
+    if not spread > 0:
+        return float(not means[0] > 0)
+    from scipy.stats import t as student
+
+    return float(student.sf(means.mean() / spread * math.sqrt(STRETCHES), STRETCHES - 1))
+
+
+def pays(error: float, rival: float, simpler: bool = False, by_chance: float = 1.0) -> bool:
+    """Whether a candidate is taken: its error is lower than its rival's, and if it is more complex, clearly so.
+
+    That is by more than `PAYS`, or by anything that chance explains at `LEVEL` or less.
 
     Args:
         error: inf for one that diverged.
         rival: of the best candidate so far.
         simpler: whether it has fewer weights than that, and promises more.
+        by_chance: of `chance`.
     """
-    return error < (1 if simpler else 1 - PAYS) * rival
+    return error < (1 if simpler or by_chance <= LEVEL else 1 - PAYS) * rival

@@ -185,8 +185,14 @@ def free_run_rmse(engine: Engine, records: tuple[Record, ...], init_window: int 
         records: in normalised units.
         init_window: first samples that tell x(0), w; where w > 1 they are not scored.
     """
+    errors = free_run_errors(engine, records, init_window)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sqrt(np.mean(np.square(np.concatenate([each.ravel() for each in errors])))))
+
+
+def free_run_errors(engine: Engine, records: tuple[Record, ...], init_window: int = 1) -> list[FloatArray]:
+    """Errors (K, m) of a free simulation of each record, in normalised units; see `free_run_rmse`."""
     w = init_window
     begin = w if w > 1 else 0
     with np.errstate(over="ignore", invalid="ignore"):
-        errors = [(engine.free_run(record.u, record.y[:w]) - record.y)[begin:].ravel() for record in records]
-        return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+        return [(engine.free_run(record.u, record.y[:w]) - record.y)[begin:] for record in records]

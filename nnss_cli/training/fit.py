@@ -19,8 +19,8 @@ from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random, waiti
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
-from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, pays, pooled, worth_trying
-from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_rmse
+from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, chance, pays, pooled, worth_trying
+from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_errors, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.lure_start import linear_layer
@@ -99,8 +99,8 @@ def train_nnss(
         parts += blocks(first, val, data.init_window)
     epochs = 0
 
-    def judge(base: Recipe, alternative: str, rivals: list[float]) -> tuple[_Attempt, list[float]]:
-        """A candidate's training on the first part of the data, and its error on what each part holds out."""
+    def judge(base: Recipe, alternative: str, rivals: list[float]) -> list[_Attempt]:
+        """A candidate, trained on each part of the data."""
         nonlocal epochs
         tried: list[_Attempt] = []
         for (records, held), rival in zip(parts, rivals, strict=True):
@@ -111,16 +111,24 @@ def train_nnss(
             if not clock.up:
                 tried[-1].train(records, tried[-1].recipe.epochs)
             epochs += len(tried[-1].watch.losses)
-        return tried[0], [one.error for one in tried]
+        return tried
 
-    taken, rivals = judge(recipe.simplest(), "", [math.inf] * len(parts))
+    best = judge(recipe.simplest(), "", [math.inf] * len(parts))
+    taken = best[0]
     if clock.up and taken.samples == 0:
         raise InputError(
             f"budget: {recipe.budget:g} s are too few for one candidate, whose start alone took {clock.elapsed:.1f} s: "
             "give more, or --start random"
         )
     lengths = [sum(map(len, held)) for _, held in parts]
-    errors: dict[str, float] = {SIMPLEST: pooled(rivals, lengths)}
+
+    def error_of(each: list[_Attempt]) -> float:
+        return pooled([one.error for one in each], lengths)
+
+    def squares_of(each: list[_Attempt]) -> FloatArray:
+        return np.concatenate([one.squares() for one in each])
+
+    errors: dict[str, float] = {SIMPLEST: error_of(best)}
     held: list[str] = []
     remarks: tuple[str, ...] = ()
     judged = f"error over {len(parts)} blocks" if len(parts) > 1 else "validation error"
@@ -133,18 +141,25 @@ def train_nnss(
         changes = alternatives[name]
         if taken.model.architecture.integrator and not taken.recipe.replace(**changes, integrator="no").integrates:
             continue  # the optimiser of this alternative cannot train one
-        tried, found = judge(taken.recipe, name, rivals)
+        tried = judge(taken.recipe, name, [one.error for one in best])
         if clock.up and len(parts) > 1:  # some part was not trained to its end
             unfinished.append(name)
             continue
         kept = [won for won in held if (won, name) != ("stability", "initial")]  # a cold start takes a layer's place
-        label = " with ".join(ALTERNATIVES[each] for each in [*kept, name])
-        errors[label] = pooled(found, lengths)
-        before, after = (one.model.architecture.weights for one in (taken, tried))
-        simpler = name == "stability" and after < before
-        if pays(errors[label], pooled(rivals, lengths), simpler):
-            margin = f"with {after} weights for {before}" if simpler else f"by more than {PAYS:.0%}"
-            taken, rivals, held = tried, found, [*kept, name]
+        label = " with ".join(ALTERNATIVES[won] for won in [*kept, name])
+        error, rival = error_of(tried), error_of(best)
+        errors[label] = error
+        before, after = (each[0].model.architecture.weights for each in (best, tried))
+        if name == "stability" and after < before:
+            taking, margin = pays(error, rival, simpler=True), f"with {after} weights for {before}"
+        elif taking := pays(error, rival):
+            margin = f"by more than {PAYS:.0%}"
+        elif error < rival:
+            p = chance(squares_of(tried), squares_of(best))
+            taking = pays(error, rival, by_chance=p)
+            margin = f"by {1 - error / rival:.1%}, hardly by chance (p = {p:.1g})"
+        if taking:
+            best, taken, held = tried, tried[0], [*kept, name]
             remarks += (f"{label} taken: it lowers the {judged} {margin}",)
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
@@ -250,6 +265,12 @@ class _Attempt:
     def error(self) -> float:
         """Lowest validation error so far; inf for a training that was given up."""
         return math.inf if self.watch.diverged else self.watch.stopping.best
+
+    def squares(self) -> FloatArray:
+        """Of the best weights' errors on the validation records (K,), over all outputs of a sample."""
+        self.watch.begin_again()
+        errors = free_run_errors(self.watch.engine, self.watch.val, self.watch.init_window)
+        return np.concatenate([np.square(each).sum(axis=1) for each in errors])
 
     def train(self, records: tuple[Record, ...], epochs: int) -> None:
         """Go on from the best weights so far, on these records, normalised."""

@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.signal
+import scipy.stats
 from nnss_cli.baselines.ssest import ssest, ssest_by_validation
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
-from nnss_cli.datasets.record import Dataset, FittingData, Record, Scaling
+from nnss_cli.datasets.record import Dataset, FittingData, FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
 from nnss_cli.training import candidates as candidates_module
 from nnss_cli.training import fit as module
 from nnss_cli.training import recipe as recipe_module
-from nnss_cli.training.candidates import blocks, pays, pooled, worth_trying
+from nnss_cli.training.candidates import STRETCHES, blocks, chance, pays, pooled, worth_trying
 from nnss_cli.training.fit import stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 from nnss_cli.training.warm import LinearStart, linear_start
@@ -86,6 +88,67 @@ def test_a_candidate_must_pay() -> None:
     assert pays(0.99, 1.0, simpler=True)
     assert not pays(1.0, 1.0, simpler=True)
     assert not pays(np.inf, np.inf, simpler=True)
+    assert pays(0.99, 1.0, by_chance=0.01)
+    assert not pays(0.99, 1.0, by_chance=0.011)
+    assert not pays(1.0, 1.0, by_chance=0.0)
+
+
+def correlated(random: np.random.Generator, K: int, a: float = 0.9) -> FloatArray:
+    """K samples of an autoregressive process of unit variance whose correlation falls by `a` a sample."""
+    noise = random.standard_normal((2, K + 200)) * np.sqrt(1 - a * a)
+    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -a], noise)[:, 200:])
+
+
+def test_equally_good_candidates_are_told_apart_as_often_as_the_level_says() -> None:
+    """Of 2000 pairs of correlated errors, none better on the average, 1 % at 1 %; sample by sample it would be 23 %."""
+    random = np.random.default_rng(0)
+    p, naive = [], []
+    for _ in range(2000):
+        one, other = np.square(correlated(random, 800))
+        p.append(chance(one, other))
+        naive.append(scipy.stats.ttest_1samp(other - one, 0, alternative="greater").pvalue)
+    assert 0.004 <= np.mean(np.array(p) <= 0.01) <= 0.016
+    assert 0.03 <= np.mean(np.array(p) <= 0.05) <= 0.07
+    assert np.mean(np.array(naive) <= 0.01) > 0.1
+
+
+def test_a_candidate_that_is_better_all_along_is_found_so_and_one_of_a_lucky_moment_is_not() -> None:
+    random = np.random.default_rng(1)
+    noise, _ = correlated(random, 2000)
+    shared = np.square(noise)
+    assert chance(0.95 * shared, shared) < 1e-3
+    assert chance(shared, 0.95 * shared) > 1 - 1e-3
+    lucky = shared.copy()
+    lucky[:100] *= 0.1  # as much better on the whole, by its beginning alone
+    assert lucky.mean() < 0.96 * shared.mean()
+    assert chance(lucky, shared) > 0.05
+
+
+def test_chance_is_students_test_of_eight_stretches() -> None:
+    random = np.random.default_rng(2)
+    one, other = np.square(random.standard_normal((2, 163)))
+    means = [part.mean() for part in np.array_split(other - one, 8)]
+    assert chance(one, other) == pytest.approx(scipy.stats.ttest_1samp(means, 0, alternative="greater").pvalue)
+    assert chance(one, other) + chance(other, one) == pytest.approx(1)
+    assert chance(one, one) == 1
+    assert chance(one, one + 1) == 0
+    assert chance(one[:15], one[:15] + random.random(15)) == 1  # too few to say
+    assert chance(one[:16], one[:16] + random.random(16)) < 1
+    assert STRETCHES == 8
+
+
+def test_squares_are_of_the_best_weights_on_what_was_held_out(small_data: Callable) -> None:
+    """Their mean is the validation error by which the attempt is judged."""
+    data = fitting(small_data(), with_feedthrough)
+    train, val = data.normalised()
+    recipe = RECIPE.replace(feedthrough="no", epochs=8)
+    attempt = module._Attempt(
+        data, 2, 0, recipe, train, val, np.inf, module._Clock(0), None, module._remembering()
+    )  # fmt: skip
+    attempt.train(train, 8)
+    assert len(attempt.squares()) == sum(map(len, val))
+    assert np.sqrt(attempt.squares().mean()) == pytest.approx(attempt.error, rel=1e-12)
+    assert attempt.error == min([*attempt.watch.errors, attempt.error]) < attempt.watch.errors[0]
 
 
 def few(base: Dataset) -> FittingData:
@@ -113,7 +176,7 @@ def test_an_incremental_layer_needs_no_margin(small_data: Callable, monkeypatch:
     assert auto.val_rmse == layer.val_rmse
     said = f"incremental layer taken: it lowers the validation error with {weights[1]} weights for {weights[0]}"
     assert said in auto.remarks
-    monkeypatch.setattr(module, "pays", lambda error, rival, _: pays(error, rival))
+    monkeypatch.setattr(module, "pays", lambda error, rival, **_: pays(error, rival))
     assert train_nnss(data, 2, 0, recipe).model.architecture == schur.model.architecture
 
 

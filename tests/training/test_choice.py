@@ -23,8 +23,12 @@ BEST = recipe_of("best", {}, 2).replace(
 class Candidates:
     """In the place of attempts: what each comes to is scripted, what each is given is kept."""
 
-    def __init__(self, errors: Sequence[float], weights: int = 1, epochs: int = 3, costs: float = 0.0) -> None:
+    def __init__(
+        self, errors: Sequence[float], weights: int = 1, epochs: int = 3, costs: float = 0.0, by_chance: float = 1.0
+    ) -> None:
         self.errors, self.weights, self.epochs, self.costs = iter(errors), weights, epochs, costs
+        self.by_chance = by_chance
+        self.compared: list[tuple[list[Any], list[Any]]] = []
         self.made: list[Any] = []
         self.now = 0.0
 
@@ -52,9 +56,13 @@ class Candidates:
         def end(remarks: tuple[str, ...], candidates: dict[str, float]) -> Any:
             return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates)
 
-        one.train, one.training = go, end
+        one.train, one.training, one.squares = go, end, lambda: np.array([one])
         self.made.append(one)
         return one
+
+    def chance(self, squares: Any, rival: Any) -> float:
+        self.compared.append((list(squares), list(rival)))
+        return self.by_chance
 
 
 @pytest.fixture
@@ -67,6 +75,7 @@ def choose(small_data: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch) 
     ) -> Any:
         monkeypatch.setattr(module, "_Attempt", found.attempt)
         monkeypatch.setattr(module, "worth_trying", lambda *_: names)
+        monkeypatch.setattr(module, "chance", found.chance)
         monkeypatch.setattr(module.time, "monotonic", lambda: found.now)
         return train_nnss(data, 2, 7, recipe, on_epoch)
 
@@ -131,6 +140,35 @@ def test_training_takes_one_thread_of_torch(choose: Callable) -> None:
 def test_one_must_pay(error: float, taken: int, choose: Callable) -> None:
     found = Candidates([1.0, error])
     assert choose(found, ("feedthrough",)).taken is found.made[taken]
+
+
+@pytest.mark.parametrize(("error", "p", "compared", "taken"), [
+    (0.95, 0.01, 1, 1), (0.95, 0.011, 1, 0), (1.0, 0.0, 0, 0), (0.79, 0.0, 0, 1), (math.inf, 0.0, 0, 0),
+])  # fmt: skip
+def test_a_small_gain_that_chance_hardly_explains_is_taken_and_told(
+    error: float, p: float, compared: int, taken: int, choose: Callable
+) -> None:
+    """And chance is asked only where it decides."""
+    found = Candidates([1.0, error], by_chance=p)
+    came = choose(found, ("feedthrough",))
+    assert came.taken is found.made[taken]
+    assert found.compared == [([found.made[1]], [found.made[0]])] * compared
+    margin = "by 5.0%, hardly by chance (p = 0.01)" if compared else "by more than 20%"
+    assert came.remarks == (f"feedthrough taken: it lowers the validation error {margin}",) * taken
+
+
+def test_by_blocks_chance_is_asked_of_all_that_is_held_out(choose: Callable) -> None:
+    found = Candidates([1.0, 2.0, 0.9, 1.9], by_chance=0.0)
+    came = choose(found, ("feedthrough",), BEST.replace(judge="blocks"))
+    assert came.taken is found.made[2]
+    assert found.compared == [(found.made[2:], found.made[:2])]
+
+
+def test_a_later_candidate_is_compared_with_the_one_taken(choose: Callable) -> None:
+    found = Candidates([1.0, 0.95, 0.92], by_chance=0.0)
+    came = choose(found, ("feedthrough", "integrator"))
+    assert came.taken is found.made[2]
+    assert found.compared == [([found.made[1]], [found.made[0]]), ([found.made[2]], [found.made[1]])]
 
 
 def test_only_the_one_taken_goes_through_the_other_stages(choose: Callable) -> None:
