@@ -15,9 +15,11 @@ from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.training.recipe import Recipe
 
 LEVEL = 0.01
-"""Of the test whether u(k) shows in y(k), at most, or no feedthrough is tried; and of that of a lower error."""
+"""Of the test whether u(k) shows in y(k), at most; else no feedthrough is tried."""
 PAYS = 0.2
 """What a further candidate must take off the error, relative, unless it is a simpler one, or surely better."""
+BY_CHANCE = 0.05
+"""At most, of a lower error; a candidate that is taken wrongly at that level is as good as its rival."""
 STRETCHES = 8
 """Of a validation record, whose mean square errors are compared one by one."""
 BLOCKS = 5
@@ -145,7 +147,7 @@ def chance(squares: FloatArray, rival: FloatArray) -> float:
 def pays(error: float, rival: float, simpler: bool = False, by_chance: float = 1.0) -> bool:
     """Whether a candidate is taken: its error is lower than its rival's, and if it is more complex, clearly so.
 
-    That is by more than `PAYS`, or by anything that chance explains at `LEVEL` or less.
+    That is by more than `PAYS`, or by anything that chance explains at `BY_CHANCE` or less.
 
     Args:
         error: inf for one that diverged.
@@ -153,4 +155,4 @@ def pays(error: float, rival: float, simpler: bool = False, by_chance: float = 1
         simpler: whether it has fewer weights than that, and promises more.
         by_chance: of `chance`.
     """
-    return error < (1 if simpler or by_chance <= LEVEL else 1 - PAYS) * rival
+    return error < (1 if simpler or by_chance <= BY_CHANCE else 1 - PAYS) * rival
