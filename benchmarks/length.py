@@ -62,7 +62,7 @@ def iteration(samples: int, n: int, channels: int) -> float:
         return plain(x0)
 
     engine.sensitivities = timed
-    gauss_newton(engine, list(y), 3, lambda _: True)
+    gauss_newton(engine, list(u), list(y), 3, lambda _: True)
     return (time.process_time() - evaluations[0]) / len(evaluations)
 
 

@@ -28,7 +28,7 @@ class System:
     step: Program
     """z (N, 1), u (r, 1) → z_next (N, 1), y (m, 1)."""
     initial: Program
-    """y0 (m, 1), u0 (r, 1) → z (N, 1): the start from the first sample alone."""
+    """y0 (W m, 1), u0 (W r, 1) → z (N, 1): the start from the first W samples, one below the other."""
     frozen: Program
     """z, u → A (n, n), B (n, r), C (m, n), D (m, r): x(k+1) = A x + B (u − ū), y = C x + D (u − ū) + ȳ."""
     n: int
@@ -45,6 +45,8 @@ class System:
     """ȳ (m,), physical units."""
     feedthrough: bool
     """Whether y(k) depends on u(k) through a D."""
+    first: int
+    """Number W of samples from which `initial` starts: 1, unless an encoder sees more."""
 
     @property
     def size(self) -> int:
@@ -59,9 +61,19 @@ class System:
             *(f"y_previous{i + 1}" for i in range(self.outputs_kept)),
         )
 
+    @property
+    def starts_from(self) -> str:
+        """What `initial` takes, in words."""
+        if self.first == 1:
+            return "the first output sample (m,) and its input (r,)"
+        return (
+            f"the first {self.first} output samples ({self.first} m,) and their inputs ({self.first} r,), sample after "
+            "sample"
+        )
+
     def start(self, y0: Array, u0: Array) -> Array:
-        """z(0) (N,) from one output sample (m,) and its input (r,)."""
-        return np.asarray(self.initial(y0=y0[:, None], u0=u0[:, None])["z"][:, 0])
+        """z(0) (N,) from the first W output samples (W, m) and their inputs (W, r)."""
+        return np.asarray(self.initial(y0=y0.reshape(-1, 1), u0=u0.reshape(-1, 1))["z"][:, 0])
 
     def state(self, x: Array, y_previous: Array) -> Array:
         """z (N,) of states x (n,) and the output before (m,)."""
@@ -101,7 +113,7 @@ class Parts:
     advance: Any
     """x (n, 1), ũ (r, 1), ỹ(k−1) (m, 1) → x(k+1), ỹ(k)."""
     initial: Any
-    """ỹ(0), ũ(0) → x(0)."""
+    """ỹ (W m, 1), ũ (W r, 1) of the first W samples → x(0)."""
     frozen: Any
     """x, ũ, ỹ(k−1) → A, B, C, D in normalised units."""
     n: int
@@ -110,6 +122,8 @@ class Parts:
     """Whether ỹ(k−1) is used."""
     feedthrough: bool
     """Whether there is a D."""
+    first: int = 1
+    """Number of samples W that `initial` takes; the same for all of an ensemble."""
 
 
 def system_of(members: Sequence[Parts], scaling: Any) -> System:
@@ -125,7 +139,7 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
     )
     r, m = len(u_mean), len(y_mean)
     keeping = [member for member in members if member.keeps_output]
-    n = sum(member.n for member in members)
+    n, (W,) = sum(member.n for member in members), {member.first for member in members}
 
     def split(z: Expression) -> list[tuple[Expression, Expression]]:
         """x and ỹ(k−1) of each member; one that does not use the output gets any."""
@@ -155,8 +169,8 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
         return {"z_next": rows(*(x for x, _ in moved), *kept), "y": mean(y)}
 
     def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
-        y, u = (y0 - y_mean) / y_std, (u0 - u_mean) / u_std
-        return {"z": rows(*(member.initial(y, u) for member in members), *[y0] * len(keeping))}
+        y, u = ((y0 - _down(y_mean, W)) / _down(y_std, W)), ((u0 - _down(u_mean, W)) / _down(u_std, W))
+        return {"z": rows(*(member.initial(y, u) for member in members), *[y0[:m, :]] * len(keeping))}
 
     def frozen(z: Expression, u: Expression) -> dict[str, Expression]:
         u = (u - u_mean) / u_std
@@ -177,7 +191,12 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
     N = n + m * len(keeping)
     return System(
         trace(step, z=(N, 1), u=(r, 1)),
-        trace(initial, y0=(m, 1), u0=(r, 1)),
+        trace(initial, y0=(W * m, 1), u0=(W * r, 1)),
         trace(frozen, z=(N, 1), u=(r, 1)),
-        n, N - n, r, m, u_mean[:, 0], y_mean[:, 0], any(member.feedthrough for member in members),
+        n, N - n, r, m, u_mean[:, 0], y_mean[:, 0], any(member.feedthrough for member in members), W,
     )  # fmt: skip
+
+
+def _down(column: Array, times: int) -> Array:
+    """A column (n, 1) so many times below itself."""
+    return np.tile(column, (times, 1))

@@ -215,6 +215,9 @@ FIT_OPTIONS: dict[str, Any] = {
     "consistency": _training(float, "--lambda", "λ", "Weight of the state-consistency term."),
     "hidden": _training(list[int], "--hidden", "N …", "Widths of the generator's layers, e.g. --hidden 100 100."),
     "encoder": _training(list[int], "--encoder", "N …", "Widths of the encoder's layers."),
+    "encoder_window": _training(
+        int, "--encoder-window", "W", "First samples of y and u from which the encoder tells x(0); 1: y(0) alone."
+    ),
     "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y|auto", "What schedules the matrices."),
     "feedthrough": _training(
         str, "--feedthrough", "auto|yes|no", "D in y = C x + D u, of NN-SS and SSEST; auto: validation decides."

@@ -45,6 +45,7 @@ STUDIES: dict[str, dict[str, Settings]] = {
         "scheduling x+u, with feedthrough": {"scheduling": "x+u", "feedthrough": "yes"},
         "without incremental layer": {"stability": "schur"},
         "incremental layer": {"stability": "incremental", "hidden": (16,)},
+        "encoder of 10 samples": {"encoder_window": 10},
         "no candidates": {"feedthrough": "no", "integrator": "no", "stability": "schur", "initial": "feedback"},
     },
     "stability": {

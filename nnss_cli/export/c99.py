@@ -60,7 +60,7 @@ def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Pa
     write_text(folder / f"{name}.h", "\n".join([
         *head,
         " *",
-        f" * {name}_initial(y0, u0, z);            the state from the first measured output and its input",
+        f" * {name}_initial(y0, u0, z);            the state from {system.starts_from}",
         f" * for each sample: {name}_step(z, u, y);  the output y of this sample, and z moves on to the next",
         " *",
         f" * Compile with -D{upper}_FLOAT for single precision. Nothing is allocated; the working memory is static, so",

@@ -50,7 +50,7 @@ def write_control(model: TrainedModel, facts: dict[str, Any], trial: Trial, fold
         ),
         *_function(
             "initial", model.system.initial, constants, ("y0", "u0"), ("z",),
-            "z(0) (N,) from the first output sample (m,) and its input (r,).",
+            f"z(0) (N,) from {model.system.starts_from}.",
         ),
         "",
         "",

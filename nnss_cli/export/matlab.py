@@ -35,7 +35,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
     step = _function(f"[z_next, y] = {name}_step(z, u)", system.step, constants, ("z_next", "y"), name)
     initial = _function(f"z = {name}_initial(y0, u0)", system.initial, constants, ("z",), name)
     of_step = "% z(k+1) (N x 1) and y(k) (m x 1) from z(k) and u(k) (r x 1), physical units."
-    of_initial = "% z(0) from the first output sample (m x 1) and its input (r x 1)."
+    of_initial = f"% z(0) from {system.starts_from}, as columns."
     files = {
         f"{name}_step": [step[0], of_step, *head, *step[1:]],
         f"{name}_initial": [initial[0], of_initial, *initial[1:]],

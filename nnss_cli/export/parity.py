@@ -90,7 +90,7 @@ def trial_of(model: TrainedModel) -> Trial:
         assert s is not None  # as whatever has an elementary step
         random = named_random(0, "parity")
         source, u = "a random input", s.u_mean + s.u_std * random.standard_normal((SAMPLES, system.inputs))
-        y_init = s.y_mean[None] + s.y_std * random.standard_normal((1, system.outputs))
+        y_init = s.y_mean[None] + s.y_std * random.standard_normal((system.first, system.outputs))
     z0 = model.initial_state(u, y_init)
     y, z = system.simulate(u, z0)
     finite = np.isfinite(y).all(axis=1) & np.isfinite(z).all(axis=1)

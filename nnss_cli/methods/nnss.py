@@ -72,6 +72,7 @@ class NNSS(Method):
             recipe = recipe.replace(initial="feedback")  # what is asked for holds for every candidate
         recipe.architecture(order, data.input_count, data.output_count)
         check_window(data.train, recipe.window)
+        recipe.check_encoder_window(data)
         # the label is the recipe's only where every field is; engines and threads compute the same
         own = {f.name for f in fields(Recipe)}
         changed = [f for f in own if f not in ("engine", "threads") and getattr(recipe, f) != getattr(known, f)]
@@ -84,7 +85,11 @@ class NNSS(Method):
         from nnss_cli.model.architecture import FORMERLY
 
         named = str(settings["stability"])
-        return {"gain": 0.0, "judge": "validation", "threads": 1} | settings | {"stability": FORMERLY.get(named, named)}
+        return (
+            {"gain": 0.0, "judge": "validation", "threads": 1, "encoder_window": 1}
+            | settings
+            | {"stability": FORMERLY.get(named, named)}
+        )
 
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's recipe."""

@@ -56,6 +56,8 @@ class Architecture:
     """Whether each output sums up what the LPV part gives: y(k+1) = y(k) + C(ρ) x [+ D(ρ) u], m states more."""
     gain: float = 0.0
     """Bound on the incremental ℓ2 gain from u to y in normalised units, by construction (incremental); 0 for none."""
+    encoder_window: int = 1
+    """Samples W from which the encoder tells x(0): y(0) alone as in the paper, or the first W outputs and inputs."""
 
     def __post_init__(self) -> None:
         if self.scheduling not in SCHEDULING:
@@ -78,6 +80,8 @@ class Architecture:
                 )
         if not 0 < self.gamma <= 1:
             raise InputError(f"gamma: expected 0 < gamma ≤ 1, found {self.gamma}")
+        if self.encoder_window < 1:
+            raise InputError(f"encoder window: expected at least 1 sample, found {self.encoder_window}")
         if not self.epsilon > 0:
             raise InputError(f"epsilon: expected a positive number, found {self.epsilon}")
         if min((self.order, *self.hidden, *self.encoder)) < 1 or not self.hidden:
@@ -119,7 +123,7 @@ class Architecture:
     @property
     def weights(self) -> int:
         """Number of all weights and biases."""
-        chains = [(self.outputs, *self.encoder, self.order)]
+        chains = [(self.encoder_inputs, *self.encoder, self.order)]
         found = 0
         if self.stability == "incremental":
             n, r, m, q = self.order, self.inputs, self.outputs, self.hidden[0]
@@ -128,6 +132,24 @@ class Architecture:
         else:
             chains.append((self.scheduling_size, *self.hidden, sum(self.parameter_sizes)))
         return found + sum((before + 1) * width for chain in chains for before, width in pairwise(chain))
+
+    @property
+    def encoder_inputs(self) -> int:
+        """Length of what the encoder sees: y(0), or y(0) … y(W−1), u(0) … u(W−1)."""
+        W = self.encoder_window
+        return self.outputs if W == 1 else W * (self.outputs + self.inputs)
+
+    def check_first(self, outputs: int) -> None:
+        """Refuse to simulate from fewer first outputs than the encoder sees.
+
+        Raises:
+            InputError: there are fewer.
+        """
+        if outputs < self.encoder_window:
+            raise InputError(
+                f"y_init: expected the first {self.encoder_window} output samples or more, since the encoder of this "
+                f"model sees as many, found {outputs}"
+            )
 
     @property
     def states(self) -> int:

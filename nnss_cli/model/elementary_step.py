@@ -38,7 +38,7 @@ def nnss_parts(
     if a.integrator:
         step, drift = arrays["step_size"][:, None], arrays["generator_drift.bias"][:, None]
     scheduled = a.scheduling.split("+")
-    E, e = np.eye(m), np.zeros(m)  # a chain of linear layers is one
+    E, e = np.eye(a.encoder_inputs), np.zeros(a.encoder_inputs)  # a chain of linear layers is one
     for weight, bias in encoder:
         E, e = weight @ E, weight @ e + bias
 
@@ -117,10 +117,12 @@ def nnss_parts(
         return A, rows(B, s @ D), outputs, x.constant(np.zeros((m, r)))
 
     def initial(y0: Expression, u0: Expression) -> Expression:
-        del u0
-        return rows(dense(E, e, y0), y0) if a.integrator else dense(E, e, y0)
+        x = dense(E, e, y0 if a.encoder_window == 1 else rows(y0, u0))
+        return rows(x, y0[:m, :]) if a.integrator else x
 
-    return Parts(advance, initial, frozen, a.states, "y" in scheduled, a.feedthrough and not a.integrator)
+    return Parts(
+        advance, initial, frozen, a.states, "y" in scheduled, a.feedthrough and not a.integrator, a.encoder_window
+    )
 
 
 def tanh(v: Expression) -> Expression:

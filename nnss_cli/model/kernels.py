@@ -1029,17 +1029,17 @@ def free_run(
 @entry
 def loss_and_gradient(
     weights: Any, widths: Any, kind: Any, E: Any, e: Any, with_u: bool, with_y: bool, gamma: float, epsilon: float,
-    consistency: float, u: Any, y: Any, gradient: Any, d_E: Any, d_e: Any, space: Any,
+    consistency: float, u: Any, y: Any, seen: Any, gradient: Any, d_E: Any, d_e: Any, space: Any,
 ) -> float:  # fmt: skip
-    """J = mean (y − ŷ)² + λ mean (x(k) − E y(k) − e)² of a batch of windows, and its gradient.
+    """J = mean (y − ŷ)² + λ mean (x(k) − E s(k) − e)² of a batch of windows, and its gradient.
 
-    The linear encoder is one affine map here, x(0) = E y(0) + e.
+    The linear encoder is one affine map here, x(0) = E s(0) + e, of what it sees, s(k) = y(k) in the paper.
 
     Args:
         weights: of the generator, flat; what follows them is not read.
         widths: of the generator; see `free_run`.
         kind: one of `KINDS`: how A follows from W and V.
-        E: of the encoder (n, m).
+        E: of the encoder (n, ·).
         e: of the encoder (n,).
         with_u: whether u schedules.
         with_y: whether the previous output schedules; the window then starts at its second sample.
@@ -1048,6 +1048,7 @@ def loss_and_gradient(
         consistency: λ.
         u: inputs (L, r, b).
         y: measured outputs (L, m, b).
+        seen: s (S, ·, b), S ≤ L, likewise from the second sample on where y schedules.
         gradient: ∂J/∂weights, written as far as the generator reaches.
         d_E: ∂J/∂E, written.
         d_e: ∂J/∂e, written.
@@ -1059,7 +1060,7 @@ def loss_and_gradient(
     if with_y:
         u, y = u[1:], y[1:]
     L, b = len(u), u.shape[2]
-    n, m = E.shape
+    (n, encoded), m, S = E.shape, y.shape[1], len(seen)
     depth, rho = len(widths) - 2, widths[0]
     P = widths[depth + 1] - n * (n + 1) // 2  # V counts by its skew part alone
     rows, long, longest = np.empty(depth + 2, np.int64), np.empty(depth + 2, np.int64), 0
@@ -1109,8 +1110,8 @@ def loss_and_gradient(
     for i in range(n):
         for s in range(b):
             total = e[i]
-            for o in range(m):
-                total += E[i, o] * y[0, o, s]
+            for o in range(encoded):
+                total += E[i, o] * seen[0, o, s]
             x[0, i, s] = total
     for k in range(L):
         previous = (first_previous if with_y else y[0]) if k == 0 else y_sim[k - 1]
@@ -1136,7 +1137,7 @@ def loss_and_gradient(
     _clear(d_E.reshape(d_E.size))
     _clear(d_e)
     per_output = dtype.type(2.0 / (b * L * m))
-    per_state = dtype.type(2.0 * consistency / (b * (L - 1) * n)) if L > 1 else dtype.type(0)
+    per_state = dtype.type(2.0 * consistency / (b * (S - 1) * n)) if S > 1 else dtype.type(0)
     response, drift = 0.0, 0.0
     mu, d_x = np.zeros((n, b), dtype), np.empty((n, b), dtype)
     d_y, d_previous = np.empty((m, b), dtype), np.zeros((m, b), dtype)
@@ -1153,16 +1154,16 @@ def loss_and_gradient(
             response += squares
         for i in range(n):
             d_row, x_row = d_x[i], x[k, i]
-            if k == 0:
+            if k == 0 or k >= S:
                 for s in range(b):
                     d_row[s] = 0
                 continue
             for s in range(b):
                 d_row[s] = x_row[s] - e[i]
-            for o in range(m):
-                y_row, factor = y[k, o], E[i, o]
+            for o in range(encoded):
+                seen_row, factor = seen[k, o], E[i, o]
                 for s in range(b):
-                    d_row[s] -= factor * y_row[s]
+                    d_row[s] -= factor * seen_row[s]
             total, squares = dtype.type(0), dtype.type(0)
             for s in range(b):
                 squares += d_row[s] * d_row[s]
@@ -1170,11 +1171,11 @@ def loss_and_gradient(
                 total += d_row[s]
             drift += squares
             d_e[i] -= total
-            for o in range(m):
-                y_row = y[k, o]
+            for o in range(encoded):
+                seen_row = seen[k, o]
                 total = dtype.type(0)
                 for s in range(b):
-                    total += d_row[s] * y_row[s]
+                    total += d_row[s] * seen_row[s]
                 d_E[i, o] -= total
         _step_adjoint(
             kind, theta[k], x[k], u[k], x[k + 1], gamma, epsilon, LU[k], z[k], q[k], mu, d_y, d_theta, d_x, work
@@ -1215,11 +1216,11 @@ def loss_and_gradient(
     for i in range(n):
         for s in range(b):
             d_e[i] += mu[i, s]
-            for o in range(m):
-                d_E[i, o] += mu[i, s] * y[0, o, s]
+            for o in range(encoded):
+                d_E[i, o] += mu[i, s] * seen[0, o, s]
     loss = response / (b * L * m)
-    if L > 1:
-        loss += consistency * drift / (b * (L - 1) * n)
+    if S > 1:
+        loss += consistency * drift / (b * (S - 1) * n)
     return loss
 
 

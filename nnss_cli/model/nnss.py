@@ -13,7 +13,8 @@ The state is then [x; w].
 ρ = x by default. A generator network f with sigmoid hidden layers maps ρ to W, V, B, C, and A
 follows from W and V by the Schur parametrisation; `nnss_cli.model.incremental` has another one.
 The encoder g is a chain of linear layers. D is an option
-beyond the paper: without it an input cannot show in the output of the same sample.
+beyond the paper: without it an input cannot show in the output of the same sample. So is an encoder that sees a window
+of W > 1 samples, x(0) = g(y(0), …, y(W−1), u(0), …, u(W−1)), as one output does not determine a state.
 
 Source: A. E. Sertbaş and T. Kumbasar, "Stable-by-Design Neural Network-Based LPV State-Space
 Models for System Identification", arXiv:2510.24757, 2025, and the code released with it.
@@ -68,7 +69,7 @@ class NNSS(nn.Module):
         self.encoder = nn.Sequential(
             *(
                 nn.Linear(before, width, dtype=self.dtype)
-                for before, width in pairwise((a.outputs, *a.encoder, a.order))
+                for before, width in pairwise((a.encoder_inputs, *a.encoder, a.order))
             )
         )
         for name, statistic in asdict(scaling).items():
@@ -187,27 +188,35 @@ class NNSS(nn.Module):
         plain = self._lure_matrices()
         return lambda x, u, _: self._lure_step(plain, x, u)
 
-    def encode(self, y0: Tensor) -> Tensor:
-        """x(0) (…, n) from first outputs (…, m): the encoder's, and the outputs themselves for an integrator's."""
-        x = self.encoder(y0)
-        return torch.cat([x, y0], dim=-1) if self.architecture.integrator else x
+    def encode(self, seen: Tensor) -> Tensor:
+        """x(0) (…, n) from what the encoder sees (…, ·): the encoder's, and y(0) itself for an integrator's.
+
+        It begins with y(0); see `seen`.
+        """
+        x = self.encoder(seen)
+        return torch.cat([x, seen[..., : self.architecture.outputs]], dim=-1) if self.architecture.integrator else x
+
+    def seen(self, u: Tensor, y: Tensor) -> Tensor:
+        """What the encoder sees from each sample on (…, K − W + 1, ·), of inputs (…, K, r) and outputs (…, K, m)."""
+        W = self.architecture.encoder_window
+        return y if W == 1 else torch.cat([part.unfold(-2, W, 1).mT.flatten(-2) for part in (y, u)], dim=-1)
 
     def forward(
-        self, u: Tensor, y0: Tensor, y_previous: Tensor | None = None, x0: Tensor | None = None
+        self, u: Tensor, seen: Tensor, y_previous: Tensor | None = None, x0: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """Free simulation of a batch, in normalised units.
 
         Args:
             u: inputs (b, K, r).
-            y0: first output sample (b, m), for the encoder.
-            y_previous: output before the first (b, m), for scheduling on y; y0 where it is None.
+            seen: what the encoder sees from the first sample on (b, ·): y(0), or a window of outputs and inputs.
+            y_previous: output before the first (b, m), for scheduling on y; y(0) where it is None.
             x0: initial state (b, n); the encoder's where it is None.
 
         Returns:
             y (b, K, m) and x (b, K, n).
         """
-        x = self.encode(y0) if x0 is None else x0
-        y_previous = y0 if y_previous is None else y_previous
+        x = self.encode(seen) if x0 is None else x0
+        y_previous = seen[:, : self.architecture.outputs] if y_previous is None else y_previous
         xs, ys = [], []
         step = self.stepper()
         for k in range(u.shape[1]):
@@ -216,14 +225,20 @@ class NNSS(nn.Module):
             ys.append(y_previous)
         return torch.stack(ys, dim=1), torch.stack(xs, dim=1)
 
-    def initial_state(self, u: Tensor, y: Tensor) -> Tensor | None:
-        """x(0) (1, n) that explains first outputs y (w, m) under inputs u (≥ w, r) best, in normalised units.
+    def initial_state(self, u: Tensor, y: Tensor) -> Tensor:
+        """x(0) (1, n) from first outputs y (w, m) and inputs u (≥ w, r), in normalised units.
 
-        None, for the encoder's, where w = 1. See `nnss_cli.model.initial`.
+        The encoder's where w = 1 or where it sees a window itself; else the one that explains the outputs best
+        (`nnss_cli.model.initial`).
+
+        Raises:
+            InputError: fewer outputs than the encoder sees.
         """
-        if len(y) == 1:
-            return None
-
+        W = self.architecture.encoder_window
+        self.architecture.check_first(len(y))
+        guess = self.encode(self.seen(u[:W], y[:W]))
+        if len(y) == 1 or W > 1:
+            return guess
         step = self.stepper()
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -233,20 +248,19 @@ class NNSS(nn.Module):
                 return np.full(y.numel(), np.inf), np.full((y.numel(), len(x0)), np.inf)
             return (simulated - y).ravel().numpy().astype(np.float64), J.flatten(0, 1).numpy().astype(np.float64)
 
-        guess = self.encode(y[:1])[0].numpy().astype(np.float64)
-        x0 = state_from_window(evaluate, guess, torch.finfo(self.dtype).eps)
+        x0 = state_from_window(evaluate, guess[0].numpy().astype(np.float64), torch.finfo(self.dtype).eps)
         return torch.tensor(x0, dtype=self.dtype)[None]
 
     @torch.no_grad()
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
-        """Free simulation in physical units, from the encoder's x(0), or the x(0) that explains a window best.
+        """Free simulation in physical units, from the x(0) of `initial_state`.
 
         Args:
             u: inputs (K, r).
             y_init: first output samples (w, m), or (m,) for one.
 
         Raises:
-            InputError: there is no such sample, or there are more than inputs.
+            InputError: there is no such sample, or there are more than inputs, or fewer than the encoder sees.
         """
         scaling = self.scaling
         u_scaled = torch.tensor(scaling.normalise_u(u), dtype=self.dtype)[None]

@@ -79,7 +79,7 @@ def equilibrium(system: System, u: FloatArray) -> Equilibrium:
     Raises:
         InputError: none is found.
     """
-    begin = system.start(system.y_mean, u)
+    begin = system.start(np.tile(system.y_mean, system.first), np.tile(u, system.first))
     settled, path = begin, begin
     for _ in range(SETTLING):
         path, _ = system.advance(settled, u)

@@ -63,6 +63,7 @@ def training_loss(model: NNSS, u: Tensor, y: Tensor, consistency: float) -> Tens
 
         J = mean (y − ŷ)² + λ mean (x(k) − g(y(k)))²,   k ≥ 1 in the second term
 
+    An encoder that sees W samples from k on is asked as far as they are in the window, k ≤ L − W.
     Where y schedules, the first sample serves as previous output and the window starts at the
     second, as in the released code.
 
@@ -73,12 +74,13 @@ def training_loss(model: NNSS, u: Tensor, y: Tensor, consistency: float) -> Tens
         consistency: λ.
     """
     y_previous, u, y = split_first(model, u, y)
-    y_simulated, x = model(u, y[:, 0], y_previous)
+    seen = model.seen(u, y)
+    y_simulated, x = model(u, seen[:, 0], y_previous)
     response = (y_simulated - y).square().mean()
-    if consistency == 0:
+    if consistency == 0 or seen.shape[1] == 1:
         return response
-    x = x[:, 1:, : model.architecture.order]  # an integrator's states are the outputs
-    return response + consistency * (x - model.encoder(y[:, 1:])).square().mean()
+    x = x[:, 1 : seen.shape[1], : model.architecture.order]  # an integrator's states are the outputs
+    return response + consistency * (x - model.encoder(seen[:, 1:])).square().mean()
 
 
 def split_first(model: NNSS, u: Tensor, y: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:

@@ -16,7 +16,7 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.initial import state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
-from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map
+from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map, seen_windows
 from nnss_cli.training.least_squares import Block
 from nnss_cli.training.lure import CompiledLure
 from nnss_cli.training.recipe import Recipe
@@ -56,20 +56,25 @@ class Weights:
         arrays = [view for name, view in self.views(vector).items() if name.startswith("encoder")]
         return list(zip(arrays[::2], arrays[1::2], strict=True))
 
-    def encode(self, y0: FloatArray) -> FloatArray:
-        """Initial states (n, …) from first outputs (m, …); an integrator's are the outputs."""
-        E, e = encoder_map(self.encoder(self.vector), self.architecture.outputs)[-1]
-        x = E @ y0 + e.reshape(-1, *[1] * (y0.ndim - 1))
-        return np.concatenate([x, y0]) if self.architecture.integrator else x
+    def encode(self, seen: FloatArray) -> FloatArray:
+        """Initial states (n, b) from what the encoder sees (·, b), y(0) first; an integrator's are these outputs."""
+        a = self.architecture
+        E, e = encoder_map(self.encoder(self.vector), a.encoder_inputs)[-1]
+        x = E @ seen + e[:, None]
+        return np.concatenate([x, seen[: a.outputs]]) if a.integrator else x
+
+    def initial_state(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """x(0) (n,) from first outputs y (w, m) and inputs u (≥ w, r); see `NNSS.initial_state`."""
+        W = self.architecture.encoder_window
+        self.architecture.check_first(len(y))
+        y = np.asarray(y, self.vector.dtype)
+        guess = self.encode(seen_windows(np.asarray(u[:W], self.vector.dtype), y[:W], W).T)[:, 0]
+        return guess if len(y) == 1 or W > 1 else self.state_from(u, y, guess)
 
     def free_run(self, u: FloatArray, y_init: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Simulated outputs (K, m) and states (K, n) in normalised units; see `Engine`."""
         known = np.atleast_2d(np.array(y_init, self.vector.dtype))
-        first = known[:1].T
-        x0 = self.encode(first)
-        if len(known) > 1:
-            x0 = self.state_from(u, known, x0[:, 0])[:, None]
-        y, x = self.free_runs(u[:, :, None], first, x0)
+        y, x = self.free_runs(u[:, :, None], known[:1].T, self.initial_state(u, known)[:, None])
         return y[:, :, 0], x[:, :, 0]
 
     def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
@@ -184,7 +189,7 @@ class FastEngine:
         self.gradient = np.zeros_like(self.model_weights.vector)
         self.moments = np.zeros_like(self.gradient), np.zeros_like(self.gradient)
         a: Architecture = model.architecture
-        self.d_encoder = np.empty((a.order, a.outputs), dtype), np.empty(a.order, dtype)
+        self.d_encoder = np.empty((a.order, a.encoder_inputs), dtype), np.empty(a.order, dtype)
         self.space = np.empty(0, dtype)
         self.layers = self.model_weights.encoder(self.model_weights.vector)
         self.layer_gradients = self.model_weights.encoder(self.gradient)
@@ -211,10 +216,12 @@ class FastEngine:
     def _evaluate(self, u: FloatArray, y: FloatArray) -> float:
         """The training loss of windows of one length, u (L, r, b) and y (L, m, b); its gradient is in `gradient`."""
         weights, a = self.model_weights, self.model_weights.architecture
-        maps = encoder_map(self.layers, a.outputs)
+        maps = encoder_map(self.layers, a.encoder_inputs)
+        begin = int("y" in a.scheduling)  # the window then starts at its second sample
+        seen = seen_windows(u[begin:], y[begin:], a.encoder_window)
         if weights.lure:
             loss = weights.lure.loss_and_gradient(
-                *maps[-1], self.recipe.consistency, u, y, self.gradient, *self.d_encoder
+                *maps[-1], self.recipe.consistency, u, y, seen, self.gradient, *self.d_encoder
             )
         else:
             L, _, b = u.shape
@@ -228,7 +235,7 @@ class FastEngine:
             loss = kernels.loss_and_gradient(
                 weights.vector, weights.widths, kernels.KINDS[a.stability],
                 *maps[-1], "u" in a.scheduling, "y" in a.scheduling, a.gamma, a.epsilon,
-                self.recipe.consistency, u, y, self.gradient, *self.d_encoder, self.space,
+                self.recipe.consistency, u, y, seen, self.gradient, *self.d_encoder, self.space,
             )  # fmt: skip
         through = encoder_gradient(self.layers, maps, *self.d_encoder)
         for (d_W, d_bias), (W, bias) in zip(through, self.layer_gradients, strict=True):

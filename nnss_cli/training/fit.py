@@ -25,7 +25,7 @@ from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
 from nnss_cli.training.lure_start import linear_layer
 from nnss_cli.training.recipe import Recipe
-from nnss_cli.training.warm import LinearStart, differences, linear_start, step_size, sum_up, warm_start
+from nnss_cli.training.warm import LinearStart, differences, linear_start, see_windows, step_size, sum_up, warm_start
 
 LinearStarter: TypeAlias = Callable[[tuple[Record, ...], tuple[Record, ...], int, float, int, bool], LinearStart]
 """`linear_start`, or what remembers its results."""
@@ -287,11 +287,11 @@ class _Attempt:
                 _adam(watch.engine, len(u), batches, recipe, named_random(self.seed, "shuffling"), watch)
                 if recipe.refine > 0 and not watch.diverged:
                     watch.begin_again()
-                    self.gauss_newton(y, min(recipe.refine, epochs))
+                    self.gauss_newton(u, y, min(recipe.refine, epochs))
             elif recipe.optimiser == "lbfgs":
                 _lbfgs(watch.engine, epochs, watch)
             else:
-                self.gauss_newton(y, epochs)
+                self.gauss_newton(u, y, epochs)
         except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
             watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
         samples = sum(len(record) for record in records)
@@ -301,12 +301,12 @@ class _Attempt:
             return
         self.samples = samples
 
-    def gauss_newton(self, y: Sequence[FloatArray], iterations: int) -> None:
-        """Gauss–Newton iterations from the weights as they are, outputs of the windows (L, m)."""
-        integrator = self.model.architecture.integrator
+    def gauss_newton(self, u: Sequence[FloatArray], y: Sequence[FloatArray], iterations: int) -> None:
+        """Gauss–Newton iterations from the weights as they are, of windows u (L, r), y (L, m)."""
+        a = self.model.architecture
         gauss_newton(
-            self.watch.engine, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder, integrator,
-            self.recipe.threads,
+            self.watch.engine, u, y, iterations, self.watch.goes_on, a.encoder_window, self.recipe.fixed_encoder,
+            a.integrator, self.recipe.threads,
         )  # fmt: skip
 
     def training(self, further: tuple[str, ...], candidates: dict[str, float]) -> Training:
@@ -343,7 +343,8 @@ def begin(
 ) -> tuple[str, tuple[str, ...]]:
     """Fill the weights of `model` with the start asked for, or with the next that these data allow.
 
-    With an integrator the start is that of the outputs' differences.
+    With an integrator the start is that of the outputs' differences. An encoder that sees windows gets the regression
+    of the start's own states on them.
 
     Args:
         model: changed in place.
@@ -357,12 +358,15 @@ def begin(
     Returns:
         The start that was taken, and remarks on those that were not.
     """
-    linear = linear or linear_start
-    if not model.architecture.integrator:
-        return _begin(model, initial, train, val, seed, init_window, linear)
-    size = step_size(train)
-    begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window, linear)
-    sum_up(model, size, train)
+    linear, a = linear or linear_start, model.architecture
+    if a.integrator:
+        size = step_size(train)
+        begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window, linear)
+        sum_up(model, size, train)
+    else:
+        begun = _begin(model, initial, train, val, seed, init_window, linear)
+    if a.encoder_window > 1 and begun[0] != "random":
+        see_windows(model, train)
     return begun
 
 

@@ -4,7 +4,7 @@
 
 by Levenberg–Marquardt steps (`least_squares`). The encoder has no part in it: one output sample does not determine a
 state, and a model that is trained from the encoder's guess bends its dynamics to make up for it. It is the regression
-of the states found on the outputs.
+of the states found on the outputs, or on the windows of samples that it sees.
 
 Source: L. Ljung, "System Identification", 2nd ed., 1999, ch. 7.
 """
@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from nnss_cli.datasets.record import FloatArray
-from nnss_cli.training.encoder import Layers, encoder_map, regress_encoder, set_encoder
+from nnss_cli.training.encoder import Layers, encoder_map, fit_encoder, seen_windows
 from nnss_cli.training.engine import Engine
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
 
@@ -29,9 +29,11 @@ ERRORS_A_PARAMETER = 8  # from which the curvature is taken, at least; all where
 
 def gauss_newton(
     engine: Engine,
+    u: Sequence[FloatArray],
     y: Sequence[FloatArray],
     iterations: int,
     goes_on: Callable[[float], bool],
+    encoder_window: int = 1,
     fixed_encoder: bool = False,
     integrator: bool = False,
     threads: int = 1,
@@ -40,9 +42,11 @@ def gauss_newton(
 
     Args:
         engine: holds the weights and the windows.
-        y: outputs of the windows, each (L, m), for the encoder.
+        u: inputs of the windows, each (L, r), for the encoder.
+        y: their outputs (L, m).
         iterations: at most.
         goes_on: hears the mean square error of each accepted step; whether there is to be another.
+        encoder_window: samples W that the encoder sees.
         fixed_encoder: leave the encoder as it is.
         integrator: whether the initial states end with the first outputs, which are then free as well.
         threads: 2 for derivatives that are found while others are summed up; the numbers are the same.
@@ -57,11 +61,11 @@ def gauss_newton(
             bias = at + array.size
             at = bias + len(array)
             layers.append((vector[bias - array.size : bias].reshape(array.shape), vector[bias:at]))
-    E, e0 = encoder_map(layers, y[0].shape[1])[-1]
-    first = np.array([window[0] for window in y])
-    x0 = first @ E.T + e0
+    E, e0 = encoder_map(layers, layers[0][0].shape[1])[-1]
+    W = encoder_window
+    x0 = np.array([seen_windows(a[:W], b[:W], W)[0] for a, b in zip(u, y, strict=True)]) @ E.T + e0
     if integrator:
-        x0 = np.concatenate([x0, first], axis=1)
+        x0 = np.concatenate([x0, [window[0] for window in y]], axis=1)
 
     errors = sum(window.size for window in y)
     every = max(1, errors // (ERRORS_A_PARAMETER * (p + x0.size)))
@@ -78,7 +82,9 @@ def gauss_newton(
     def accepted(_: FloatArray, loss: float, x: FloatArray) -> bool:
         if not fixed_encoder and np.isfinite(loss):
             unscored = (sum(len(window) for window in y) - len(x)) // len(y)
-            set_encoder(layers, *regress_encoder(np.concatenate([window[unscored:] for window in y]), x))
+            inputs, outputs = ([window[unscored:] for window in signal] for signal in (u, y))
+            ends = np.cumsum([len(window) for window in outputs])
+            fit_encoder(layers, inputs, outputs, np.split(x, ends[:-1]), W)
         engine.place(vector)
         return goes_on(loss)
 

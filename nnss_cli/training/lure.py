@@ -67,13 +67,13 @@ class CompiledLure:
 
     def loss_and_gradient(
         self, encoder: FloatArray, shift: FloatArray, consistency: float, u: FloatArray, y: FloatArray,
-        gradient: FloatArray, d_encoder: FloatArray, d_shift: FloatArray,
+        seen: FloatArray, gradient: FloatArray, d_encoder: FloatArray, d_shift: FloatArray,
     ) -> float:  # fmt: skip
         """Loss of windows of one length; see `nnss_cli.model.kernels.loss_and_gradient`."""
         plain = self.plain()
         by_plain = [np.zeros_like(part) for part in plain]
         d_encoder[:], d_shift[:] = 0, 0
-        loss = kernels.loss_and_gradient(*plain, encoder, shift, consistency, u, y, *by_plain, d_encoder, d_shift)
+        loss = kernels.loss_and_gradient(*plain, encoder, shift, consistency, u, y, seen, *by_plain, d_encoder, d_shift)
         towards = np.concatenate([part.ravel() for part in by_plain]).astype(np.float64)
         gradient[: self.size] = self.layout.pulled_back(self._seen, towards[None])[0]
         return float(loss)

@@ -113,16 +113,17 @@ def free_run(
 @entry
 def loss_and_gradient(
     A: Any, B: Any, F: Any, G: Any, H: Any, b: Any, C: Any, D: Any, E: Any, encoder: Any, shift: Any,
-    consistency: float, u: Any, y: Any,
+    consistency: float, u: Any, y: Any, seen: Any,
     d_A: Any, d_B: Any, d_F: Any, d_G: Any, d_H: Any, d_b: Any, d_C: Any, d_D: Any, d_E: Any,
     d_encoder: Any, d_shift: Any,
 ) -> float:  # fmt: skip
-    """J = mean (y − ŷ)² + λ mean (x(k) − g(y(k)))², g(y) = encoder y + shift, of windows u (L, r, b) and y (L, m, b).
+    """J = mean (y − ŷ)² + λ mean (x(k) − g(s(k)))², g(s) = encoder s + shift, of windows u (L, r, b) and y (L, m, b).
 
+    What the encoder sees, s (S, ·, b), is y in the paper.
     All that begins with d_ gets its derivative added, from zero.
     """
     L, m, batch = y.shape
-    n, q = len(A), len(b)
+    n, q, S = len(A), len(b), len(seen)
     dtype = A.dtype
     rest = _rest(b)
     x, z = np.empty((L + 1, n, batch), dtype), np.empty((L, q, batch), dtype)
@@ -130,7 +131,7 @@ def loss_and_gradient(
     for i in range(n):
         for s in range(batch):
             x[0, i, s] = shift[i]
-    _add_product(encoder, y[0], x[0])
+    _add_product(encoder, seen[0], x[0])
     response, drift = 0.0, 0.0
     for k in range(L):
         _advance(A, B, F, G, H, b, C, D, E, rest, x[k], u[k], bent[k], z[k], x[k + 1], error[k])
@@ -141,7 +142,7 @@ def loss_and_gradient(
                 squares += error[k, o, s] ** 2
             response += squares
     per_output = dtype.type(2.0 / (batch * L * m))
-    per_state = dtype.type(2.0 * consistency / (batch * (L - 1) * n)) if L > 1 else dtype.type(0)
+    per_state = dtype.type(2.0 * consistency / (batch * (S - 1) * n)) if S > 1 else dtype.type(0)
     mu, d_x = np.zeros((n, batch), dtype), np.empty((n, batch), dtype)
     d_v, off, d_rest = np.empty((q, batch), dtype), np.empty((n, batch), dtype), np.zeros(q, dtype)
     for k in range(L - 1, -1, -1):
@@ -172,11 +173,11 @@ def loss_and_gradient(
         _add_transposed(A, mu, d_x)
         _add_transposed(C, d_y, d_x)
         _add_transposed(G, d_v, d_x)
-        if k > 0 and consistency > 0:
+        if 0 < k < S and consistency > 0:
             for i in range(n):
                 for s in range(batch):
                     off[i, s] = shift[i]
-            _add_product(encoder, y[k], off)
+            _add_product(encoder, seen[k], off)
             for i in range(n):
                 squares, total = dtype.type(0), dtype.type(0)
                 for s in range(batch):
@@ -187,17 +188,17 @@ def loss_and_gradient(
                     total += off[i, s]
                 drift += squares
                 d_shift[i] += total
-            _add_outer(off, y[k], d_encoder)
+            _add_outer(off, seen[k], d_encoder)
         mu, d_x = d_x, mu
     for i in range(q):
         d_b[i] -= d_rest[i] * (1 - rest[i] ** 2)
-    _add_outer(mu, y[0], d_encoder)
+    _add_outer(mu, seen[0], d_encoder)
     for i in range(n):
         total = dtype.type(0)
         for s in range(batch):
             total += mu[i, s]
         d_shift[i] += total
-    penalty = consistency * drift / (batch * (L - 1) * n) if L > 1 else 0.0
+    penalty = consistency * drift / (batch * (S - 1) * n) if S > 1 else 0.0
     return response / (batch * L * m) + penalty
 
 

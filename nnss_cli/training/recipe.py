@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nnss_cli.baselines.schur import EPSILON
-from nnss_cli.datasets.record import Presets
+from nnss_cli.datasets.record import FittingData, Presets
 from nnss_cli.datasets.windows import SHORTEST
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.iterative import PATIENCE_UNITS
@@ -30,6 +30,8 @@ class Recipe:
     """Widths of the generator's sigmoid layers."""
     encoder: tuple[int, ...] = (16, 16)
     """Widths of the encoder's linear layers before its output."""
+    encoder_window: int = 1
+    """Samples W from which the encoder tells x(0): y(0) alone, or the first W outputs and inputs."""
     scheduling: str = "x"
     """What the generator sees: x, x+u, x+y or x+u+y; auto for x, or x+u where validation prefers it."""
     stability: str = field(default="schur", metadata={"renamed": FORMERLY})
@@ -151,7 +153,35 @@ class Recipe:
             order - outputs * integrator, inputs, outputs, tuple(self.hidden), tuple(self.encoder),
             "x" if self.scheduling == "auto" else self.scheduling, self.gamma, self.epsilon, self.dtype,
             "schur" if self.stability == "auto" else self.stability, self.feedthrough == "yes", integrator, self.gain,
+            self.encoder_window,
         )  # fmt: skip
+
+    def check_encoder_window(self, data: FittingData) -> None:
+        """Refuse an encoder that sees samples which are scored, or all of a training window; records are longer.
+
+        Args:
+            data: whose first `init_window` samples of a record are not scored.
+
+        Raises:
+            InputError: it does.
+        """
+        W, unscored = self.encoder_window, data.init_window
+        if W <= 1:
+            return
+        if unscored < W:
+            remedy = (
+                f"take --encoder-window {unscored} or less" if unscored > 1 else
+                "take a protocol that leaves some unscored, or give your data an init_window (docs/own-data.md)"
+            )  # fmt: skip
+            raise InputError(
+                f"encoder window: expected at most the first {unscored} of a record's samples, since the others are "
+                f"scored, found {W}: {remedy}"
+            )
+        if 0 < self.window <= W:
+            raise InputError(
+                f"encoder window: expected fewer samples than the {self.window} of a training window, found {W}: take "
+                f"--encoder-window {self.window - 1} or less, or a longer --window"
+            )
 
     def simplest(self) -> Recipe:
         """The first candidate: where something is auto, the paper's structure, and the feedback start."""
@@ -177,10 +207,10 @@ class Recipe:
         }
         if len(self.hidden) > 1 or "y" in self.scheduling or self.optimiser != "gauss-newton":
             del found["stability"]  # one layer, no output that schedules, and no second run of Adam
-        if self.stability == "incremental":
-            del found["initial"]  # its generator is deep
-            if self.gain:
-                del found["integrator"]
+        if self.stability == "incremental" or self.encoder_window >= window:
+            del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
+        if self.gain:
+            del found["integrator"]
         return {name: changes for name, changes in found.items() if getattr(self, name) == "auto"}
 
     def replace(self, **changes: Any) -> Recipe:
@@ -211,7 +241,7 @@ _RECIPES = {"best": _BEST, "paper": _PAPER}
 
 
 def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1) -> Recipe:
-    """The recipe `paper` or `best` for an order; the encoder of `best` lets all outputs through.
+    """The recipe `paper` or `best` for an order; the encoder of `best` lets all outputs through, and any state.
 
     Args:
         name: of the recipe.
@@ -227,4 +257,6 @@ def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1) -> Reci
     by_order = presets.get(name, {})
     known = by_order[min(by_order, key=lambda known: (abs(known - order), known))] if by_order else {}
     recipe = _RECIPES[name].replace(**known)
-    return recipe if name == "paper" else recipe.replace(encoder=tuple(max(width, outputs) for width in recipe.encoder))
+    if name == "paper":
+        return recipe
+    return recipe.replace(encoder=tuple(max(width, outputs, order) for width in recipe.encoder))

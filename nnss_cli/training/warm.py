@@ -7,7 +7,7 @@ model that one likes. Training then begins at that model's error and leaves line
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeAlias, cast
 
 import numpy as np
@@ -20,7 +20,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.encoder import Layers, encoder_map, regress_encoder, set_encoder
+from nnss_cli.training.encoder import Layers, encoder_map, fit_encoder, seen_windows, set_encoder
 
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
 
@@ -143,16 +143,41 @@ def sum_up(model: NNSS, size: FloatArray, train: tuple[Record, ...]) -> None:
     model.step_size.copy_(torch.from_numpy(size))
     weights, x, missing = Weights(model), [], []
     for record, difference in zip(train, differences(train, size), strict=True):
-        E, e = encoder_map(layers, a.outputs)[-1]
-        x0 = np.concatenate([E @ difference.y[0] + e, record.y[0]])
+        E, e = encoder_map(layers, a.encoder_inputs)[-1]
+        x0 = np.concatenate([E[:, : a.outputs] @ difference.y[0] + e, record.y[0]])
         y, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0[:, None])
-        x.append(states[:, : a.order, 0])
+        x.append(states[:, : a.order, 0].astype(np.float64))
         missing.append(difference.y - np.diff(y[:, :, 0], axis=0) / size)
-    states, drift = np.concatenate(x).astype(np.float64), np.concatenate(missing).mean(axis=0)
-    if np.isfinite(states).all() and np.isfinite(drift).all():
-        set_encoder(layers, *regress_encoder(np.concatenate([record.y for record in train]), states))
+    drift = np.concatenate(missing).mean(axis=0)
+    if all(np.isfinite(states).all() for states in x) and np.isfinite(drift).all():
+        _fit_encoder(model, train, x)
         with torch.no_grad():
             model.generator_drift.bias.copy_(torch.from_numpy(drift))
+
+
+def see_windows(model: NNSS, train: tuple[Record, ...]) -> None:
+    """From a start whose encoder sees y(0) alone to one that sees windows: the regression of its own states on them.
+
+    Args:
+        model: changed in place.
+        train: experiments in normalised units.
+    """
+    from nnss_cli.training.fast import Weights
+
+    weights, W = Weights(model), model.architecture.encoder_window
+    x = []
+    for record in train:
+        guess = weights.encode(seen_windows(record.u[:W], record.y[:W], W).T)[:, 0]
+        x0 = weights.state_from(record.u, record.y[:W], guess)
+        _, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0[:, None])
+        x.append(states[:, : model.architecture.order, 0].astype(np.float64))
+    if all(np.isfinite(states).all() for states in x):
+        _fit_encoder(model, train, x)
+
+
+def _fit_encoder(model: NNSS, train: tuple[Record, ...], x: Sequence[FloatArray]) -> None:
+    u, y = ([getattr(record, signal) for record in train] for signal in "uy")
+    fit_encoder(encoder_layers(model), u, y, x, model.architecture.encoder_window)
 
 
 class OutputMatrices(Protocol):

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,8 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
-    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge` and `threads` were added; `initial` and
-    `stability` of best became auto.
+    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge`, `threads` and `encoder_window` were
+    added; `initial` and `stability` of best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
@@ -58,13 +59,18 @@ def test_a_recipe_is_the_papers_only_where_every_field_is() -> None:
     assert method.settings(data, 2, {"recipe": "paper"}) == papers
     assert method.settings(data, 2, {"recipe": "paper", "engine": "reference"})["recipe"] == "paper"  # the same numbers
     assert method.settings(data, 2, {"recipe": "paper", "threads": 2})["recipe"] == "paper"
-    assert set(CHANGED) | {"engine", "threads", "recipe", "gain"} == set(papers)  # a new field is to be added here
+    assert set(CHANGED) | {"engine", "threads", "recipe", "gain", "encoder_window"} == set(
+        papers
+    )  # a new field is to be added here
     for name, value in CHANGED.items():
         assert method.settings(data, 2, {"recipe": "paper", name: value})["recipe"] == f"paper, changed: {name}"
     several = method.settings(data, 2, {"recipe": "paper", "stability": "none", "hidden": (4,)})
     assert several["recipe"] == "paper, changed: hidden, stability"
     promising = {"recipe": "paper", "stability": "incremental", "hidden": (4,), "gain": 2.0}  # no gain without
     assert method.settings(data, 2, promising)["recipe"] == "paper, changed: gain, hidden, stability"
+    unscored = replace(data, init_window=20)
+    seen = method.settings(unscored, 2, {"recipe": "paper", "encoder_window": 20})["recipe"]
+    assert seen == "paper, changed: encoder_window"
 
 
 def test_the_automatic_engine_is_the_recipes() -> None:

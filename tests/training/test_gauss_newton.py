@@ -83,7 +83,7 @@ def test_gauss_newton_finds_a_model_of_its_own_kind(hidden: tuple) -> None:
         return True
 
     engine = FastEngine(make(a, seed=6), u, y, Recipe())
-    gauss_newton(engine, y, 60, goes_on)
+    gauss_newton(engine, u, y, 60, goes_on)
     assert all(later < earlier for earlier, later in itertools.pairwise(errors))
     assert errors[-1] < 1e-3 * y.var()
 
@@ -197,7 +197,7 @@ def test_a_long_record_is_trained_with_the_curvature_of_some_samples(
     monkeypatch.setattr(NormalEquations, "summed", noting)
     monkeypatch.setattr(gauss_newton_module, "ERRORS_A_PARAMETER", most)
     engine = FastEngine(make(a, seed=6), u, y, Recipe(dtype="float64"))
-    gauss_newton(engine, y, 40, goes_on)
+    gauss_newton(engine, u, y, 40, goes_on)
     assert errors[-1] < 1e-5 * y.var()
     assert taken == {max(1, 3000 // (most * (engine.model_weights.generator_size + 1)))}
 
@@ -226,7 +226,7 @@ def test_two_threads_give_the_same_numbers(integrator: bool, monkeypatch: pytest
             losses.append(loss)
             return True
 
-        gauss_newton(tried, list(y), 5, goes_on, integrator=integrator, threads=threads)
+        gauss_newton(tried, list(u), list(y), 5, goes_on, integrator=integrator, threads=threads)
         assert (seen == {threading.get_ident()}) == (threads == 1)
         assert threading.active_count() == before
         trained.append((losses, tried.model_weights.vector.copy()))

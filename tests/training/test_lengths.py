@@ -130,7 +130,7 @@ def test_the_encoder_is_regressed_on_every_state(scheduling: str) -> None:
         return found
 
     engine.sensitivities = noting  # type: ignore[method-assign]
-    gauss_newton(engine, y, 1, lambda _: False)
+    gauss_newton(engine, u, y, 1, lambda _: False)
     known = np.concatenate([window["y" in scheduling :] for window in y])
     E, e = regress_encoder(known, seen[-1])
     for y0 in np.eye(2):

@@ -243,7 +243,7 @@ def test_a_later_stage_has_half_the_epochs_of_the_one_before_and_one_at_least(
 ) -> None:
     given: list[tuple[int, int]] = []
 
-    def none(engine: Any, y: Sequence[np.ndarray], iterations: int, *_: Any) -> None:
+    def none(engine: Any, u: Any, y: Sequence[np.ndarray], iterations: int, *_: Any) -> None:
         given.append((sum(map(len, y)), iterations))
 
     monkeypatch.setattr(module, "gauss_newton", none)

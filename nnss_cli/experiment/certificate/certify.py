@@ -52,7 +52,8 @@ def certify(
         search_lyapunov: solve the LMI where a common Lyapunov matrix is not given by construction.
         budget: seconds for it and for proofs of gains and rates; 0 for as many as the former needs, no proofs and no
             attacks. What is exact without is stated.
-        init_window: w, first samples from which the model's x(0) is found; for w > 1 those are covered beside g(y(0)).
+        init_window: w, first samples from which the model's x(0) is found; for w > 1 those are covered beside g(y(0)),
+            but where its encoder sees a window itself.
 
     Raises:
         InputError: the model is of another kind, or the records have other channels.
@@ -102,8 +103,7 @@ def certify(
         invariant = bounds[0] * input_bound / (1 - system.gamma)
         bound = max(largest_initial, invariant)
         limit = bound * (1 + system.rounding())
-        window = f" or found from their first {init_window} samples" if init_window > 1 else ""
-        holds_for = f"x(0) = g(y(0)) of the {len(everything)} records given{window}, inputs within their range"
+        holds_for = f"{system.starts(len(everything), init_window)}, inputs within their range"
     largest = max(box_radius, *radius.values())
     broken = _broken(system, largest, box_norm)
     sampled = say.Sampled(largest, box_norm, rate, lyapunov)
@@ -165,7 +165,7 @@ def certify(
 def _runs(system: Neural | Linear, record: Record, w: int) -> list[tuple[Record, FloatArray, FloatArray]]:
     """The record with y (K, m) and x (K, n) simulated from its first sample, and also from its first w."""
     found = [(record, *system.trajectory(record))]
-    if w > 1 and len(record) >= w:
+    if system.finds_state and w > 1 and len(record) >= w:
         x0 = system.state_from_window(record, w)
         y, x = system.run(record.u[:, :, None], record.y[0][:, None], x0[:, None])
         found.append((record, y[:, :, 0], x[:, :, 0]))

@@ -59,6 +59,19 @@ class Neural:
         self.stability, self.promise = a.stability, PROMISES[a.stability]
         self.gamma = a.gamma if self.promise.radius else math.inf
 
+    @property
+    def finds_state(self) -> bool:
+        """Whether a simulation from several outputs starts elsewhere than where the encoder says."""
+        return self.architecture.encoder_window == 1
+
+    def starts(self, records: int, w: int) -> str:
+        """Which initial states are covered, in words."""
+        W = self.architecture.encoder_window
+        if W > 1:
+            return f"x(0) = g of the first {W} samples of the {records} records given"
+        window = f" or found from their first {w} samples" if w > 1 else ""
+        return f"x(0) = g(y(0)) of the {records} records given{window}"
+
     def constant(self) -> LinearStateSpace | None:
         """The system, if A, B, C and D do not depend on ρ: nothing schedules, or nothing comes of it."""
         a = self.architecture
@@ -93,8 +106,8 @@ class Neural:
         return system_of([self.model.elementary_parts()], _unit(a.inputs, a.outputs))
 
     def trajectory(self, record: Record) -> tuple[FloatArray, FloatArray]:
-        """y (K, m) and x (K, n) of a record, simulated from y(0)."""
-        return self.weights.free_run(record.u, record.y[0])
+        """y (K, m) and x (K, n) of a record, simulated from the encoder's x(0)."""
+        return self.weights.free_run(record.u, record.y[: self.architecture.encoder_window])
 
     def scheduling(self, record: Record, y: FloatArray, x: FloatArray) -> FloatArray:
         """ρ along the trajectory of a record (K, ·)."""
@@ -113,15 +126,9 @@ class Neural:
         """A(ρ) (N, n, n)."""
         return np.asarray(self.torch_matrices(torch.tensor(rho, dtype=self.model.dtype)).numpy(), dtype=np.float64)
 
-    def initial_state(self, record: Record) -> FloatArray:
-        first = np.asarray(record.y[0], self.weights.vector.dtype)
-        return self.weights.encode(first[:, None])[:, 0].astype(np.float64)
-
     def state_from_window(self, record: Record, w: int) -> FloatArray:
         """x(0) (n,) that explains the record's first w samples best, as a simulation from them starts."""
-        y = np.array(record.y[:w], self.whole.vector.dtype)
-        guess = self.whole.encode(y[:1].T)[:, 0]
-        found = self.whole.state_from(record.u, y, guess)
+        found = self.whole.initial_state(record.u, record.y[:w])
         return np.asarray(found[: self.architecture.order], dtype=np.float64)
 
     def rounding(self) -> float:
@@ -159,17 +166,16 @@ class Neural:
         return np.asarray(self.model.step(*at)[0].numpy().T)
 
     def adversary(self, low: FloatArray, high: FloatArray, y0: FloatArray, x0: FloatArray) -> FloatArray:
-        """Inputs (HORIZON, r) inside the range that drive ‖x‖ as far as gradient ascent finds, from x(0) = g(y(0))."""
-        del x0
+        """Inputs (HORIZON, r) inside the range that drive ‖x‖ as far as gradient ascent finds, from x0 and y0."""
         a, dtype = self.architecture, self.model.dtype
         random = named_random(0, "adversary")
         middle, half = torch.tensor((high + low) / 2, dtype=dtype), torch.tensor((high - low) / 2, dtype=dtype)
         free = torch.tensor(random.uniform(-1, 1, (RESTARTS, HORIZON, a.inputs)), dtype=dtype)
-        first = torch.tensor(np.tile(y0, (RESTARTS, 1)), dtype=dtype)
+        first, begin = (torch.tensor(np.tile(start, (RESTARTS, 1)), dtype=dtype) for start in (y0, x0))
         best, reached = free[0].clone(), -1.0
         for step in range(ASCENTS):
             free.requires_grad_(True)
-            _, x = self.model(middle + half * free, first)
+            _, x = self.model(middle + half * free, first, x0=begin)
             norms = torch.linalg.norm(x[:, -1], dim=1)
             (slope,) = torch.autograd.grad(norms.sum(), free)
             with torch.no_grad():
@@ -186,6 +192,7 @@ class Linear:
     gamma = math.inf  # a linear method promises nothing
     promise = PROMISES["none"]
     integrates = False
+    finds_state = True
 
     def __init__(self, model: LinearModel) -> None:
         self.system = model.system
