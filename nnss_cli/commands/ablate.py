@@ -66,7 +66,8 @@ def command(
     left_out = [line for variant in found for line in variant.left_out]
     written = write_study(store, study, found)
     console.print(str(written), soft_wrap=True, highlight=False)
-    emit("end", files=[str(written)], left_out=left_out)
-    tell_left_out(left_out)
+    refused = [f"{variant.name}: {variant.refused}" for variant in found if variant.refused]
+    emit("end", files=[str(written)], left_out=[*refused, *left_out])
+    tell_left_out([*refused, *left_out])
     if left_out:
         raise typer.Exit(1)

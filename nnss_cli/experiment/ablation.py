@@ -69,6 +69,8 @@ class Variant:
     """Those with a model whose state left the range of numbers under stress; None where that was not tried."""
     left_out: tuple[str, ...] = ()
     """A line for each run that is damaged, or disagrees with the others."""
+    refused: str = ""
+    """Why there can be no runs of it here, or ""."""
 
 
 def variant_store(store: Store, study: str, name: str) -> Store:
@@ -91,7 +93,8 @@ def ablate(
 ) -> list[Variant]:
     """Run what is missing of a study, and return all of it.
 
-    A variant that does not go with the other options, as `incremental` with several hidden layers, has no runs.
+    A variant that does not go with the other options, as `incremental` with several hidden layers, or with the record,
+    as an encoder window with one that leaves no sample unscored, has no runs.
 
     Raises:
         InputError: the study is unknown, or an order or option is out of range for all variants.
@@ -105,7 +108,7 @@ def ablate(
     for name, changed in given.items():
         own = variant_store(store, study, name)
         if name in refused:
-            found.append(Variant(name, (), _unbounded(own, (), study), (f"{name}: {refused[name]}",)))
+            found.append(Variant(name, (), _unbounded(own, (), study), refused=refused[name]))
             continue
         planned = plan(own, dataset, [method], orders, seeds, changed, force=False)
         todo = planned.todo

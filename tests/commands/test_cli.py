@@ -74,6 +74,7 @@ def test_studies(nnss: Callable, study: str, small_data: Callable) -> None:
     call = ("ablate", *record, "--orders", "2", "--seeds", "1", "--epochs", "2", "--jobs", "1", "--study")
     outcome = nnss(*call, study)
     assert outcome.code == 0, outcome.err
+    assert ("left out: encoder of 10 samples: encoder window: " in outcome.err) == (study == "class")
     (page,) = Path("results/short").glob(f"*/study-{study}.md")
     text = page.read_text()
     assert ("quadratic" in text) == (study == "stability")
