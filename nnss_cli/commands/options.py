@@ -249,8 +249,9 @@ FIT_OPTIONS: dict[str, Any] = {
     "initial": _training(
         str,
         "--start",
-        "random|linear|feedback|auto",
-        "Random weights, SSEST's model, or that with saturated feedback; auto: feedback, or a deep cold model.",
+        "random|linear|feedback|cascade|auto",
+        "Random weights, SSEST's model, that with saturated feedback, or with units between two linear parts; auto: "
+        "feedback, or what validates better.",
     ),
     "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),

@@ -22,6 +22,8 @@ BY_CHANCE = 0.05
 """At most, of a lower error; a candidate that is taken wrongly at that level is as good as its rival."""
 STRETCHES = 8
 """Of a validation record, whose mean square errors are compared one by one."""
+STRETCH = 50
+"""Samples of one, at least: in fewer, errors of a simulation are too much like those before."""
 BLOCKS = 5
 """Blocks of cross-validation, at most."""
 SIMPLEST = "as it is"
@@ -30,9 +32,10 @@ ALTERNATIVES = {
     "integrator": "integrator",
     "scheduling": "scheduling on u",
     "stability": "incremental layer",
+    "cascade": "incremental layer from a cascade",
     "initial": "cold start",
 }
-"""Field of a recipe that leaves something open → the name of what is tried then."""
+"""Field of a recipe that leaves something open, or cascade, → the name of what is tried then."""
 
 
 def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
@@ -41,7 +44,8 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one,
     an incrementally stable layer where the first stage is all there is and its weights do not outnumber the measured
     outputs, a deep cold model where the generator's do. A layer of few weights is ahead on a short beginning of a
-    record, and may be behind on all of it.
+    record, and may be behind on all of it, so that on longer ones it is tried from a cascade alone, which must be ahead
+    by far.
 
     Args:
         data: physical units.
@@ -51,6 +55,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     """
     open_ones = recipe.alternatives(min(map(len, first)))
     known = sum(record.y.size for record in data.train)
+    staged = sum(map(len, first)) < sum(map(len, data.train))
 
     def weights(changes: dict[str, Any]) -> int:
         return recipe.simplest().replace(**changes).architecture(order, data.input_count, data.output_count).weights
@@ -63,9 +68,8 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
             and longest_time_constant(data.train) >= max(map(len, data.train))
         ),
         "scheduling": lambda: True,
-        "stability": lambda: (
-            sum(map(len, first)) == sum(map(len, data.train)) and weights(open_ones["stability"]) <= known
-        ),
+        "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
+        "cascade": lambda: staged and order >= 2,
         "initial": lambda: weights({}) > known,
     }
     return tuple(name for name in open_ones if speaks[name]())
@@ -131,9 +135,9 @@ def chance(squares: FloatArray, rival: FloatArray) -> float:
         rival: of its rival's.
 
     Returns:
-        1 where there are fewer than two samples a stretch.
+        1 where there are fewer than `STRETCH` samples a stretch.
     """
-    if len(squares) < 2 * STRETCHES:
+    if len(squares) < STRETCH * STRETCHES:
         return 1.0
     means = np.array([part.mean() for part in np.array_split(rival - squares, STRETCHES)])
     spread = float(means.std(ddof=1))

@@ -20,6 +20,7 @@ from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, chance, pays, pooled, worth_trying
+from nnss_cli.training.cascade import cascade_start, train_cascade
 from nnss_cli.training.engine import Engine, ReferenceEngine, free_run_errors, free_run_rmse
 from nnss_cli.training.feedback import feedback_start
 from nnss_cli.training.gauss_newton import gauss_newton
@@ -163,7 +164,7 @@ def train_nnss(
             remarks += (f"{label} taken: it lowers the {judged} {margin}",)
     for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
-            taken.train(records, max(1, taken.recipe.epochs // 2**index))
+            taken.train(records, taken.epochs(index))
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
@@ -261,6 +262,10 @@ class _Attempt:
         self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
+    def epochs(self, stage: int) -> int:
+        """Epochs of a later stage, 1, 2, …, at most: half as many as before, but for a cascade, of so few weights."""
+        return self.recipe.epochs if self.start == "cascade" else max(1, self.recipe.epochs // 2**stage)
+
     @property
     def error(self) -> float:
         """Lowest validation error so far; inf for a training that was given up."""
@@ -304,6 +309,12 @@ class _Attempt:
     def gauss_newton(self, u: Sequence[FloatArray], y: Sequence[FloatArray], iterations: int) -> None:
         """Gauss–Newton iterations from the weights as they are, of windows u (L, r), y (L, m)."""
         a = self.model.architecture
+        if self.start == "cascade" and not a.integrator:
+            train_cascade(
+                self.model, self.watch.engine, u, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder,
+                self.recipe.threads,
+            )  # fmt: skip
+            return
         gauss_newton(
             self.watch.engine, u, y, iterations, self.watch.goes_on, a.encoder_window, self.recipe.fixed_encoder,
             a.integrator, self.recipe.threads,
@@ -348,7 +359,7 @@ def begin(
 
     Args:
         model: changed in place.
-        initial: one of `STARTS`: feedback falls back to linear, linear to random.
+        initial: one of `STARTS`: feedback and cascade fall back to linear, linear to random.
         train: experiments in normalised units.
         val: validation experiments.
         seed: of the random weights and the feedback's gain.
@@ -399,14 +410,19 @@ def _begin(
         start = linear(train, val, a.order, a.gamma, init_window, a.feedthrough)
     except FAILURES as error:
         return "random", (f"{failed('SSEST', error)}: started from random weights",)
-    if initial == "feedback":
-        waiting_for("saturated feedback, to start from")
+    beyond = {
+        "feedback": ("saturated feedback", feedback_start, "no iterate validated better than the linear model"),
+        "cascade": ("two linear parts with units between", cascade_start, "no iterate keeps the layer's promise"),
+    }
+    if initial in beyond:
+        what, make, why = beyond[initial]
+        waiting_for(f"{what}, to start from")
         try:
-            if feedback_start(model, start, train, val, named_random(seed, "feedback"), init_window):
+            if make(model, start, train, val, named_random(seed, initial), init_window):
                 return initial, remarks
-            remarks += ("feedback start refused: no iterate validated better than the linear model",)
+            remarks += (f"{initial} start refused: {why}",)
         except FAILURES as error:
-            remarks += (f"{failed('feedback start', error)}: started from the linear model",)
+            remarks += (f"{failed(f'{initial} start', error)}: started from the linear model",)
             draw()  # what failed may have changed some weights
     try:
         if a.stability == "incremental":

@@ -12,7 +12,8 @@ Source: C. E. de Souza and L. Xie, "On the discrete-time bounded real lemma", Sy
 from __future__ import annotations
 
 import math
-from typing import cast
+from collections.abc import Callable
+from typing import TypeAlias, cast
 
 import numpy as np
 import scipy.linalg
@@ -33,8 +34,12 @@ SHARE = 0.9  # of the room that K leaves, for the units without effect
 DOUBLINGS = 14
 
 
+Basis: TypeAlias = Callable[[PlainArrays], tuple[FloatArray, float] | None]
+"""From matrices to a T and λ as `promising_basis` gives them."""
+
+
 def start_layer(
-    model: NNSS, plain: PlainArrays, x: FloatArray, random: np.random.Generator
+    model: NNSS, plain: PlainArrays, x: FloatArray, random: np.random.Generator, basis_of: Basis | None = None
 ) -> tuple[FloatArray, PlainArrays]:
     """Set the layer of `model` to a Lur'e model of no more units, and its other units at random, without effect.
 
@@ -43,6 +48,7 @@ def start_layer(
         plain: with p ≤ q units: G (p, n), F (n, p), E (m, p), H (p, r).
         x: states of that model (K, n), for slopes and centres of the other units.
         random: draws them.
+        basis_of: finds the basis; `promising_basis` where it is None.
 
     Returns:
         T (n, n), by which the layer's states are those of the model, and the matrices, which may have been drawn in.
@@ -56,7 +62,7 @@ def start_layer(
     layer = cast(Lure, model.generator)
     for inside in (0.0, *INSIDE * 2.0 ** np.arange(DOUBLINGS)):
         drawn = drawn_in(plain, 1 - inside, a.gain > 0)
-        basis = promising_basis(drawn, a)
+        basis = promising_basis(drawn, a) if basis_of is None else basis_of(drawn)
         if basis is None:
             continue
         T, weight = basis
@@ -136,13 +142,13 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, fl
             T = bounded_real_basis(A, fed, Q + margin * np.eye(n), R, S)
             if T is None:
                 continue
-            norm = float(np.linalg.norm(_matrix(transformed(plain, T), np.full(p, 2.0 / weight), a), 2))
+            norm = float(np.linalg.norm(matrix(transformed(plain, T), np.full(p, 2.0 / weight), a), 2))
             if norm < smallest:
                 smallest, found = norm, (T, float(weight))
     return found
 
 
-def _matrix(plain: PlainArrays, scale: FloatArray, a: Architecture) -> FloatArray:
+def matrix(plain: PlainArrays, scale: FloatArray, a: Architecture) -> FloatArray:
     """K as one matrix."""
     K1, K21 = whole(plain, scale, a.gamma, a.gain)
     return np.block([[K1], [K21, np.zeros((len(K21), len(K21)))]])
@@ -176,7 +182,7 @@ def with_idle_units(
     spans = np.sqrt(np.mean((x @ directions.T) ** 2, axis=0))
     G = directions / np.maximum(spans, 1e-12)[:, None] * np.exp(random.uniform(low, high, idle))[:, None]
     b = -np.sum(G * x[random.integers(len(x), size=idle)], axis=1)
-    room = np.eye(n + p + r * (a.gain > 0)) - (K := _matrix(plain, scale, a)).T @ K
+    room = np.eye(n + p + r * (a.gain > 0)) - (K := matrix(plain, scale, a)).T @ K
     seen = slice(r * (a.gain > 0), r * (a.gain > 0) + n)
     inverse = np.linalg.inv(room)[seen, seen]  # of the Schur complement S
     squares = np.einsum("ij,jk,ik->i", G, inverse, G) * max(idle, 1) / SHARE

@@ -16,7 +16,7 @@ from nnss_cli.model.architecture import FORMERLY, Architecture
 ENGINES = ("fast", "reference")
 OPTIMISERS = ("adam", "lbfgs", "gauss-newton")
 RECIPES = ("best", "paper")
-STARTS = ("auto", "random", "linear", "feedback")
+STARTS = ("auto", "random", "linear", "feedback", "cascade")
 CHOICES = ("auto", "yes", "no")
 JUDGES = ("validation", "blocks")
 LONGEST = 60  # samples of a window of the cold alternative
@@ -74,8 +74,9 @@ class Recipe:
     refine: int = 0
     """Gauss–Newton iterations from the best epoch of Adam, at most, and at most `epochs`."""
     initial: str = "random"
-    """Start: random weights, the linear model that SSEST finds, or that with feedback through saturations (feedback).
-    auto for feedback, or a deep cold model that validates better where weights outnumber measured outputs."""
+    """Start: random weights, the linear model that SSEST finds, that with feedback through saturations (feedback), or
+    two linear parts with units between them (cascade; with stability incremental). auto for feedback, or a cascade or
+    deep cold model that validates better, where there are many samples or few."""
     fixed_encoder: bool = False
     """Leave the encoder as it starts."""
     engine: str = "fast"
@@ -99,6 +100,11 @@ class Recipe:
             raise unknown("unit of patience", self.patience_unit, PATIENCE_UNITS)
         if self.initial not in STARTS:
             raise unknown("start", self.initial, STARTS)
+        if self.initial == "cascade" and self.stability != "incremental":
+            raise InputError(
+                f"start cascade: expected stability incremental, whose units it sets, found {self.stability}: give "
+                "--stability incremental, or another --start"
+            )
         if self.judge not in JUDGES:
             raise unknown("judge", self.judge, JUDGES)
         for name in ("feedthrough", "integrator"):
@@ -203,15 +209,19 @@ class Recipe:
             "scheduling": {"scheduling": "x+u"},
             # a unit of the layer has 2n weights and a few, where one of a generator has 5n²
             "stability": {"stability": "incremental", "hidden": (2 * self.hidden[0],)},
+            "cascade": {"stability": "incremental", "hidden": (2 * self.hidden[0],), "initial": "cascade"},
             "initial": {**_COLD, "window": window, "stability": self.simplest().stability},
         }
         if len(self.hidden) > 1 or "y" in self.scheduling or self.optimiser != "gauss-newton":
-            del found["stability"]  # one layer, no output that schedules, and no second run of Adam
+            del found["stability"], found["cascade"]  # one layer, no output that schedules, and no second run of Adam
         if self.stability == "incremental" or self.encoder_window >= window:
             del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
         if self.gain:
             del found["integrator"]
-        return {name: changes for name, changes in found.items() if getattr(self, name) == "auto"}
+        fixed = {name for name in (*found, "stability") if getattr(self, name, "auto") != "auto"}
+        if fixed & {"stability", "initial"}:
+            found.pop("cascade", None)
+        return {name: changes for name, changes in found.items() if name not in fixed}
 
     def replace(self, **changes: Any) -> Recipe:
         """The recipe with what is not None in `changes`."""

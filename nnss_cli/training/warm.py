@@ -167,9 +167,8 @@ def see_windows(model: NNSS, train: tuple[Record, ...]) -> None:
     weights, W = Weights(model), model.architecture.encoder_window
     x = []
     for record in train:
-        guess = weights.encode(seen_windows(record.u[:W], record.y[:W], W).T)[:, 0]
-        x0 = weights.state_from(record.u, record.y[:W], guess)
-        _, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0[:, None])
+        x0 = weights.encode(seen_windows(record.u[:W], record.y[:W], W).T)
+        _, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0)
         x.append(states[:, : model.architecture.order, 0].astype(np.float64))
     if all(np.isfinite(states).all() for states in x):
         _fit_encoder(model, train, x)

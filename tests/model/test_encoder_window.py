@@ -18,6 +18,7 @@ from nnss_cli.app import main
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.certificate import certify
 from nnss_cli.export import c99, export
+from nnss_cli.iterative import named_random
 from nnss_cli.methods import METHODS, load_model
 from nnss_cli.model.architecture import COMBINATIONS, Architecture
 from nnss_cli.model.ensemble import Ensemble
@@ -26,6 +27,7 @@ from nnss_cli.trained import TrainedModel
 from nnss_cli.training.encoder import seen_windows
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
+from nnss_cli.training.fit import begin
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 W = 3
@@ -227,6 +229,15 @@ def test_a_window_tells_the_state_that_one_output_does_not(changes: dict, error:
         errors[window] = float(np.sqrt(np.mean((y - val.y) ** 2)) / driven.scaling.y_std[0])
     assert errors[4] < error
     assert errors[1] > 3 * error
+
+
+def test_a_random_start_is_left_as_it_was_drawn(driven: FittingData) -> None:
+    a = recipe_of("paper", {}, 2).replace(encoder_window=4).architecture(2, 1, 1)
+    one, other = (NNSS(a, driven.scaling, driven.channels, 0.5) for _ in range(2))
+    begin(one, "random", *driven.normalised(), 7, 4)
+    other.initialise(named_random(7, "weights"))
+    for name, weight in one.state_dict().items():
+        assert torch.equal(weight, other.state_dict()[name]), name
 
 
 def test_adam_trains_one_and_both_engines_alike(driven: FittingData) -> None:

@@ -126,14 +126,14 @@ def test_a_candidate_that_is_better_all_along_is_found_so_and_one_of_a_lucky_mom
 
 def test_chance_is_students_test_of_eight_stretches() -> None:
     random = np.random.default_rng(2)
-    one, other = np.square(random.standard_normal((2, 163)))
+    one, other = np.square(random.standard_normal((2, 403)))
     means = [part.mean() for part in np.array_split(other - one, 8)]
     assert chance(one, other) == pytest.approx(scipy.stats.ttest_1samp(means, 0, alternative="greater").pvalue)
     assert chance(one, other) + chance(other, one) == pytest.approx(1)
     assert chance(one, one) == 1
     assert chance(one, one + 1) == 0
-    assert chance(one[:15], one[:15] + random.random(15)) == 1  # too few to say
-    assert chance(one[:16], one[:16] + random.random(16)) < 1
+    assert chance(one[:399], one[:399] + random.random(399)) == 1  # too few to say
+    assert chance(one[:400], one[:400] + random.random(400)) < 1
     assert STRETCHES == 8
 
 

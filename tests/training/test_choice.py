@@ -57,6 +57,7 @@ class Candidates:
             return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates)
 
         one.train, one.training, one.squares = go, end, lambda: np.array([one])
+        one.epochs = lambda stage: recipe.epochs - stage
         self.made.append(one)
         return one
 
@@ -176,7 +177,7 @@ def test_only_the_one_taken_goes_through_the_other_stages(choose: Callable) -> N
     choose(found, ("feedthrough",), BEST.replace(lead=20, epochs=9))
     first, second = found.made
     assert first.trained == [(20, 9)]
-    assert second.trained == [(20, 9), (80, 4), (200, 2)]
+    assert second.trained == [(20, 9), (80, 8), (200, 7)]
 
 
 def test_one_that_diverged_goes_through_no_other_stage(choose: Callable) -> None:

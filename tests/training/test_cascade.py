@@ -1,0 +1,280 @@
+"""A layer that starts at two linear parts with units between them: the form, the basis, the fit, when it is tried."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
+
+from nnss_cli.errors import InputError
+from nnss_cli.iterative import named_random
+from nnss_cli.model.architecture import Architecture
+from nnss_cli.model.incremental import PlainArrays
+from nnss_cli.model.nnss import NNSS
+from nnss_cli.training import cascade as module
+from nnss_cli.training import fit as fit_module
+from nnss_cli.training.candidates import worth_trying
+from nnss_cli.training.cascade import Cascade, Problem, basis, cascade_start, divisions, train_cascade
+from nnss_cli.training.engine import free_run_rmse
+from nnss_cli.training.fast import FastEngine
+from nnss_cli.training.fit import train_nnss
+from nnss_cli.training.lure_start import matrix, transformed
+from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.warm import linear_start
+
+POLES = (0.8 + 0.3j, 0.5 + 0.6j, 0.9 + 0.1j, 0.7, -0.4)
+UNIT = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+
+
+def with_poles(poles: tuple[complex, ...], seed: int = 0) -> np.ndarray:
+    """A matrix with these eigenvalues, complex ones with their conjugates, in a basis at random."""
+    n = sum(1 + (complex(pole).imag != 0) for pole in poles)
+    A, at = np.zeros((n, n)), 0
+    for pole in map(complex, poles):
+        size = 1 + (pole.imag != 0)
+        A[at : at + size, at : at + size] = (
+            [[pole.real, pole.imag], [-pole.imag, pole.real]] if size == 2 else pole.real
+        )
+        at += size
+    T = np.random.default_rng(seed).standard_normal((n, n))
+    return T @ A @ np.linalg.inv(T)
+
+
+def plant(u: np.ndarray, x0: np.ndarray | None = None) -> np.ndarray:
+    """Second order, a saturation, second order: y (K, 1)."""
+    up = LinearStateSpace(
+        with_poles((0.8 + 0.3j,)), np.array([[1.0], [0.3]]), np.array([[0.5, 0.2]]), np.zeros((1, 1)), 1
+    )
+    down = LinearStateSpace(
+        with_poles((0.6 + 0.5j,), 1), np.array([[1.0], [0.2]]), np.array([[0.4, -0.3]]), np.zeros((1, 1)), 1
+    )
+    between = up.simulate(u, np.zeros(2) if x0 is None else x0)[0]
+    return down.simulate(np.tanh(1.5 * between), np.zeros(2))[0]
+
+
+@pytest.fixture
+def between(small_data: Callable[..., Dataset]) -> FittingData:
+    """Records of it without noise; 600 samples for training."""
+    random = np.random.default_rng(4)
+
+    def record(K: int) -> Record:
+        u = 1.5 * random.standard_normal((K, 1))
+        return Record(u, plant(u), 0.5)
+
+    train, val = record(600), record(300)
+    return replace(small_data().fitting, train=(train,), val=(val,), scaling=Scaling.of((train,)), init_window=10)
+
+
+def layer(n: int = 4, q: int = 5, **changes: Any) -> NNSS:
+    a = Architecture(n, 1, 1, (q,), (4,), dtype="float64", stability="incremental", **changes)
+    model = NNSS(a, UNIT, Channels(("u",), ("y",), ("",), ("",)), 1.0)
+    model.initialise(named_random(0, "weights"))
+    return model
+
+
+@pytest.mark.parametrize(("poles", "ways"), [
+    ((0.9, 0.5), 2), (POLES[:1], 2), (POLES[:2], 2 + 4), (POLES[:3], 12 + 8), ((*POLES[:1], 0.7), 6), (POLES, None),
+    ((0.9,), 0),
+])  # fmt: skip
+def test_poles_are_divided_into_halves_the_fewest_pairs_divided_first(
+    poles: tuple[complex, ...], ways: int | None
+) -> None:
+    A = with_poles(poles)
+    found = divisions(A)
+    assert ways is None or len(found) == ways
+    own = np.linalg.eigvals(A)
+    shared = []
+    for T, Q, first in found:
+        n = len(A)
+        assert first in (n // 2, n - n // 2)
+        assert not T[first:, :first].any()
+        np.testing.assert_allclose(Q @ Q.T, np.eye(n), atol=1e-12)
+        parts = [np.linalg.eigvals(T[:first, :first]), np.linalg.eigvals(T[first:, first:])]
+        new = np.concatenate(parts)
+        distance = np.abs(new[:, None] - own).min(axis=1)
+        kept = distance < 1e-7
+        shared.append(int((~kept).sum()))
+        for pole in new[~kept]:  # of a pair that was divided, on the real axis beside it
+            assert abs(pole.imag) < 1e-6
+            assert np.abs(np.abs(own.real - pole.real) - module.APART).min() < 1e-6
+        if not shared[-1]:
+            np.testing.assert_allclose(Q @ T @ Q.T, A, atol=1e-10)
+    assert shared == sorted(shared)
+
+
+def test_the_linear_model_in_this_form_simulates_as_it_did(between: FittingData) -> None:
+    train, val = between.normalised()
+    linear = linear_start(train, val, 4, 1.0, 10)
+    division = divisions(linear[0].A)[0]
+    begun = module.at_division(linear, division, 6, train, np.random.default_rng(0))
+    assert not begun.plain.F.any()
+    assert not begun.plain.G[:, : begun.downstream].any()
+    x0 = begun.initial @ val[0].y[0]
+    expected, _ = linear[0].simulate(val[0].u, linear[1] @ val[0].y[0])
+    np.testing.assert_allclose(begun.outputs(val[0].u, begun.states(val[0].u, x0)), expected, atol=1e-9)
+    seen = np.abs(begun.states(train[0].u, x0) @ begun.plain.G.T).std(axis=0)
+    assert (seen > 0.1).all()  # within what makes a unit bend
+    assert (seen < 10).all()
+
+
+def random_cascade(seed: int, radius: float = 0.9, strength: float = 1.0, n: int = 5, q: int = 4) -> Cascade:
+    random, first = np.random.default_rng(seed), n // 2
+    A = random.standard_normal((n, n))
+    for part in (slice(None, first), slice(first, None)):
+        A[part, part] *= radius / np.abs(np.linalg.eigvals(A[part, part])).max()
+    A[first:, :first] = 0
+    F, G = strength * random.standard_normal((n, q)), strength * random.standard_normal((q, n))
+    F[first:], G[:, :first] = 0, 0
+    B, C = random.standard_normal((n, 1)), random.standard_normal((1, n))
+    D, b = random.standard_normal((1, 1)), random.standard_normal(q)
+    return Cascade(PlainArrays(A, B, F, G, np.zeros((q, 1)), b, C, D, np.zeros((1, q))), first, np.zeros((n, 1)))
+
+
+@pytest.mark.parametrize("strength", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("gamma", [1.0, 0.95])
+def test_there_is_a_basis_in_which_a_cascade_of_stable_parts_contracts(strength: float, gamma: float) -> None:
+    """However strong the units: their slopes enter no eigenvalue of A(x)."""
+    for seed in range(20):
+        given, a = random_cascade(seed, 0.9, strength), layer(5, 4, gamma=gamma).architecture
+        found = basis(given.plain, given.downstream, a)
+        assert found is not None
+        T, weight = found
+        assert not T[: given.downstream, given.downstream :].any()
+        assert np.linalg.norm(matrix(transformed(given.plain, T), np.full(4, 2 / weight), a), 2) < 1
+        model = layer(5, 4, gamma=gamma, feedthrough=True)
+        x = np.random.default_rng(seed).standard_normal((50, 5))
+        T = module._placed(model, given, x)
+        placed = model.generator.arrays()
+        for ours, theirs in zip(placed, transformed(given.plain, T), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-6 * max(1, np.abs(theirs).max()))
+        assert model.generator.promised_norm() < 1
+    for part in (slice(0, 2), slice(2, 5)):
+        unstable = random_cascade(0)
+        unstable.plain.A[part, part] *= 1.2
+        assert basis(unstable.plain, 2, layer(5, 4).architecture) is None
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    given, random = random_cascade(1, 0.7, 0.5), np.random.default_rng(2)
+    u = [random.standard_normal((K, 1)) for K in (12, 9)]
+    y = [random.standard_normal((K, 1)) for K in (12, 9)]
+    for feedthrough in (True, False):
+        problem = Problem(given, u, y, feedthrough)
+        point = np.concatenate([problem.whole[problem.chosen], random.standard_normal(10)])
+        assert len(problem.chosen) == 4 + 6 + 9 + 5 + 2 * 4 + 4 * 3 + 4 + 5 + feedthrough
+
+        def errors(at: np.ndarray, problem: Problem = problem) -> np.ndarray:
+            model, begin = problem.at(at), at[-10:].reshape(2, 5)
+            return np.concatenate(
+                [(model.outputs(a, model.states(a, x0)) - b).ravel() for a, b, x0 in zip(u, y, begin, strict=True)]
+            )
+
+        J = np.array([(errors(point + d) - errors(point - d)) / 2e-6 for d in 1e-6 * np.eye(len(point))]).T
+        equations, x = problem.evaluate(point)
+        e = errors(point)
+        assert equations.squares == pytest.approx(e @ e)
+        np.testing.assert_allclose(equations.slope, J.T @ e, atol=1e-7 * np.abs(J.T @ e).max())
+        np.testing.assert_allclose(np.tril(equations.gram), np.tril(J.T @ J), atol=1e-6 * np.abs(J.T @ J).max())
+        assert x.shape == (21, 5)
+
+
+def test_a_plant_of_this_form_is_found_and_the_layer_stays_of_it(between: FittingData) -> None:
+    train, val = between.normalised()
+    model = layer(4, 6)
+    linear = linear_start(train, val, 4, 1.0, 10)
+    assert cascade_start(model, linear, train, val, named_random(0, "cascade"), 10)
+    engine = FastEngine(model, [train[0].u], [train[0].y], Recipe(dtype="float64"))
+    begun = free_run_rmse(engine, val, 10)
+    assert begun < 0.01
+    errors: list[float] = []
+
+    def goes_on(loss: float) -> bool:
+        errors.append(loss)
+        assert model.generator.promised_norm() < 1
+        A, F, G = (getattr(model.generator.arrays(), name) for name in "AFG")
+        assert np.abs(A[2:, :2]).max() < 1e-9
+        assert np.abs(F[2:]).max() < 1e-9 * np.abs(F).max()
+        assert np.abs(G[:, :2]).max() < 1e-9 * np.abs(G).max()
+        return True
+
+    train_cascade(model, engine, [train[0].u], [train[0].y], 40, goes_on)
+    assert len(errors) > 5
+    assert errors == sorted(errors, reverse=True)
+    assert free_run_rmse(engine, val, 10) < begun
+
+
+def test_two_threads_give_the_same_numbers(between: FittingData, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ROUNDS", ((5, 2),))
+    monkeypatch.setattr(module, "STRETCH", 64)
+    train, val = between.normalised()
+    found = []
+    for threads in (1, 2):
+        model = layer(4, 4)
+        assert cascade_start(model, linear_start(train, val, 4, 1.0, 10), train, val, named_random(0, "cascade"), 10)
+        engine = FastEngine(model, [train[0].u], [train[0].y], Recipe(dtype="float64"))
+        train_cascade(model, engine, [train[0].u], [train[0].y], 3, lambda _: True, threads=threads)
+        found.append(engine.model_weights.vector.copy())
+    assert np.array_equal(*found)
+
+
+def test_it_is_tried_on_long_records_alone_and_must_be_clearly_ahead(
+    between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "ROUNDS", ((15, 6), (25, 2)))
+    recipe = recipe_of("best", {}, 4).replace(epochs=6, hidden=(3,), feedthrough="no", integrator="no", lead=200)
+    first = tuple(record[:200] for record in between.train)
+    assert worth_trying(between, 4, recipe, first) == ("cascade",)
+    assert worth_trying(between, 1, recipe, first) == ()
+    assert "cascade" not in worth_trying(between, 4, recipe, between.train)  # where one stage is all there is
+    for open_no_more in ({"stability": "schur"}, {"initial": "linear"}, {"hidden": (5, 5)}, {"scheduling": "x+y"}):
+        assert "cascade" not in recipe.replace(**open_no_more).alternatives(600)
+    training = train_nnss(between, 4, 0, recipe)
+    assert training.model.architecture.stability == "incremental"
+    name = "incremental layer from a cascade"
+    assert training.candidates[name] < 0.8 * training.candidates["as it is"]
+    assert f"{name} taken: it lowers the validation error by more than 20%" in training.remarks
+    assert np.abs(training.model.generator.arrays().A[2:, :2]).max() < 1e-9
+
+
+def test_a_cascade_has_all_epochs_in_every_stage(between: FittingData) -> None:
+    """Its weights are few, so a stage of a long record costs little; others have half as many in each."""
+    train, val = between.normalised()
+    base = recipe_of("best", {}, 4).replace(feedthrough="no", integrator="no", hidden=(3,), epochs=10)
+    found = {}
+    for changes in ({"stability": "schur", "initial": "linear"}, {"stability": "incremental", "initial": "cascade"}):
+        recipe = base.replace(**changes)
+        clock, linear = fit_module._Clock(0), fit_module._remembering()
+        attempt = fit_module._Attempt(between, 4, 0, recipe, train, val, np.inf, clock, None, linear)
+        found[attempt.start] = [attempt.epochs(stage) for stage in (1, 2, 5)]
+    assert found == {"linear": [5, 2, 1], "cascade": [10, 10, 10]}
+
+
+def test_where_it_cannot_be_the_start_is_linear_and_that_is_told(between: FittingData) -> None:
+    recipe = recipe_of("best", {}, 1).replace(
+        stability="incremental", initial="cascade", feedthrough="no", integrator="no", epochs=2, hidden=(3,)
+    )
+    training = train_nnss(between, 1, 0, recipe)
+    assert "cascade start refused: no iterate keeps the layer's promise" in training.remarks
+    with pytest.raises(
+        InputError, match="start cascade: expected stability incremental, whose units it sets, found schur"
+    ):
+        recipe.replace(stability="schur")
+
+
+def test_beside_an_integrator_the_layer_itself_is_trained(between: FittingData) -> None:
+    summed = tuple(
+        Record(r.u, np.cumsum(np.concatenate([np.zeros((1, 1)), r.y[:-1]]), axis=0), r.Ts)
+        for r in (*between.train, *between.val)
+    )
+    data = replace(between, train=summed[:1], val=summed[1:], scaling=Scaling.of(summed[:1]))
+    recipe = recipe_of("best", {}, 5).replace(
+        stability="incremental", initial="cascade", feedthrough="no", integrator="yes", epochs=10, hidden=(6,)
+    )
+    training = train_nnss(data, 5, 0, recipe)
+    assert training.best_epoch > 0
+    assert min(training.val_rmse) < 0.1
+    assert torch.isfinite(training.model.generator.X).all()
