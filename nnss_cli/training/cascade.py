@@ -162,7 +162,6 @@ def _divided(
     for real, side in zip(reals, real_sides, strict=True):
         (upstream if side == "u" else downstream).append(real)
     T, Q, first = _ordered(A, downstream, upstream)
-    T[first:, :first] = 0
     return T, Q, first
 
 

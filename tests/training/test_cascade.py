@@ -20,7 +20,7 @@ from nnss_cli.training import fit as fit_module
 from nnss_cli.training.candidates import worth_trying
 from nnss_cli.training.cascade import Cascade, Problem, basis, cascade_start, divisions, train_cascade
 from nnss_cli.training.engine import free_run_rmse
-from nnss_cli.training.fast import FastEngine
+from nnss_cli.training.fast import FastEngine, Weights
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.lure_start import matrix, transformed
 from nnss_cli.training.recipe import Recipe, recipe_of
@@ -134,9 +134,8 @@ def random_cascade(seed: int, radius: float = 0.9, strength: float = 1.0, n: int
     return Cascade(PlainArrays(A, B, F, G, np.zeros((q, 1)), b, C, D, np.zeros((1, q))), first, np.zeros((n, 1)))
 
 
-@pytest.mark.parametrize("strength", [0.1, 1.0, 10.0])
-@pytest.mark.parametrize("gamma", [1.0, 0.95])
-def test_there_is_a_basis_in_which_a_cascade_of_stable_parts_contracts(strength: float, gamma: float) -> None:
+@pytest.mark.parametrize(("gamma", "strength"), [(1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (0.91, 0.1), (0.91, 1.0)])
+def test_there_is_a_basis_in_which_a_cascade_of_stable_parts_contracts(gamma: float, strength: float) -> None:
     """However strong the units: their slopes enter no eigenvalue of A(x)."""
     for seed in range(20):
         given, a = random_cascade(seed, 0.9, strength), layer(5, 4, gamma=gamma).architecture
@@ -156,6 +155,54 @@ def test_there_is_a_basis_in_which_a_cascade_of_stable_parts_contracts(strength:
         unstable = random_cascade(0)
         unstable.plain.A[part, part] *= 1.2
         assert basis(unstable.plain, 2, layer(5, 4).architecture) is None
+
+
+def test_the_basis_leaves_half_of_the_room_there_is_and_scales_no_further() -> None:
+    a = layer(5, 4).architecture
+    for seed in range(10):
+        given = random_cascade(seed)
+        T, weight = basis(given.plain, given.downstream, a)
+
+        def norm(delta: float, T: np.ndarray = T, weight: float = weight, given: Cascade = given) -> float:
+            scale = np.diag([delta] * given.downstream + [1.0] * (5 - given.downstream))
+            return float(np.linalg.norm(matrix(transformed(given.plain, scale @ T), np.full(4, 2 / weight), a), 2))
+
+        own = [np.abs(np.linalg.eigvals(part)).max() for part in module.parts(given.plain.A, given.downstream)]
+        least = np.sqrt((max(own) ** 2 + 1) / 2)  # what the parts have by themselves, at most
+        assert 1 - norm(1.0) >= (1 - least) / 2 * 0.9
+        assert norm(2.0) > norm(1.0)
+    assert basis(given.plain, given.downstream, layer(5, 4, gain=1e-6).architecture) is None  # no such gain
+
+
+def test_a_layer_holds_the_cascade_that_was_placed_in_it() -> None:
+    model, given, random = layer(5, 4), random_cascade(3), np.random.default_rng(0)
+    given = replace(given, plain=given.plain._replace(D=np.zeros((1, 1))))
+    module._placed(model, given, random.standard_normal((50, 5)))
+    u, x0 = random.standard_normal((80, 1)), random.standard_normal(5)
+    held, scale = module._held(model, [u], [x0])
+    first = held.downstream
+    assert first == given.downstream
+    assert not (held.plain.A[first:, :first].any())
+    assert not (held.plain.F[first:].any())
+    assert not (held.plain.G[:, :first].any())
+    y, x = Weights(model).free_runs(u[:, :, None], np.zeros((1, 1)), x0[:, None])
+    states = held.states(u, scale * x0)
+    np.testing.assert_allclose(states, scale * x[:, :, 0], atol=1e-9)
+    np.testing.assert_allclose(held.outputs(u, states), y[:, :, 0], atol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.mean(states**2, axis=0)), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [0.9999, 1.0])
+def test_iterates_with_a_pole_that_is_not_within_gamma_are_not_taken(
+    radius: float, between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "ROUNDS", ((3, 1),))
+    monkeypatch.setattr(Cascade, "radius", property(lambda _: radius))
+    train, val = between.normalised()
+    model = layer(4, 4)
+    before = [p.clone() for p in model.parameters()]
+    assert not cascade_start(model, linear_start(train, val, 4, 1.0, 10), train, val, named_random(0, "cascade"), 10)
+    assert all(torch.equal(one, other) for one, other in zip(before, model.parameters(), strict=True))
 
 
 def test_derivatives_are_those_of_differences() -> None:
