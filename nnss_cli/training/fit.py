@@ -33,9 +33,9 @@ LinearStarter: TypeAlias = Callable[[tuple[Record, ...], tuple[Record, ...], int
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
-"""Share of the epochs after which a candidate is given up that is behind the one before, or behind its own start."""
+"""Share of the epochs after which a candidate is given up that is behind the one before."""
 FEW = 10
-"""Epochs that say nothing of a start that they did not improve."""
+"""Epochs after which one is given up where none was better than its start, if the share above is as many or more."""
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class _Attempt:
         """Build the model and its start from records of the first stage and of validation, normalised.
 
         It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it,
-        or no epoch was better than its start.
+        or where none of the first `FEW` was better than its start.
         """
         self.recipe, self.seed = recipe, seed
         architecture = recipe.architecture(order, data.input_count, data.output_count)
@@ -495,7 +495,7 @@ class _Watch:
         if self.on_epoch:
             self.on_epoch(epoch, loss, self.errors[-1])
         behind = epoch == self.trial and self.stopping.best > self.rival
-        hopeless = epoch == self.trial >= FEW and self.best_epoch == 0
+        hopeless = epoch == FEW <= self.trial and self.best_epoch == 0
         return not (self.stopping.stop or behind or hopeless or self.clock.up)
 
 
