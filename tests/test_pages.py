@@ -161,7 +161,7 @@ def test_the_front_pages_figures_stand_in_the_pages_it_links_to() -> None:
     rows = [
         line for line in text.partition("## Two commands")[0].splitlines() if line.startswith("|") and "make" in line
     ]
-    assert len(rows) == 3
+    assert len(rows) == 4
     for row in rows:
         _, _, ours, others, source, _ = row.split("|")
         (link,) = LINK.findall(source)
