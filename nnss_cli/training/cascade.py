@@ -421,8 +421,6 @@ def cascade_start(
     """
     a = model.architecture
     start, E = linear
-    if start.order < 2:
-        return False
     given = (LinearStateSpace(start.A, start.B, start.C, start.D * a.feedthrough, start.Ts), E)
     ways = divisions(start.A)[: ROUNDS[0][1]]
     tried = [at_division(given, way, a.hidden[0], train, random) for way in ways]

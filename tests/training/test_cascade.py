@@ -254,6 +254,31 @@ def test_a_plant_of_this_form_is_found_and_the_layer_stays_of_it(between: Fittin
     assert free_run_rmse(engine, val, 10) < begun
 
 
+@pytest.mark.parametrize("fixed", [False, True])
+def test_the_encoder_is_the_regression_of_the_layers_own_states(
+    fixed: bool, between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "ROUNDS", ((5, 2),))
+    train, val = between.normalised()
+    model, (record,) = layer(4, 4), train
+    assert cascade_start(model, linear_start(train, val, 4, 1.0, 10), train, val, named_random(0, "cascade"), 10)
+
+    def offset() -> float:
+        """Of the encoder's guesses from the states, on the mean and relative: a regression leaves none."""
+        with torch.no_grad():
+            x = Weights(model).free_run(record.u, record.y[:50])[1]
+            off = model.encoder(torch.tensor(record.y)).numpy() - x
+        return float((np.abs(off.mean(axis=0)) / x.std(axis=0)).max())
+
+    assert offset() < 0.05
+    before = [layer.weight.clone() for layer in model.encoder]
+    engine = FastEngine(model, [record.u], [record.y], Recipe(dtype="float64"))
+    train_cascade(model, engine, [record.u], [record.y], 3, lambda _: True, fixed_encoder=fixed)
+    same = [torch.equal(one, layer.weight) for one, layer in zip(before, model.encoder, strict=True)]
+    assert all(same) == fixed
+    assert fixed or offset() < 0.05
+
+
 def test_two_threads_give_the_same_numbers(between: FittingData, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROUNDS", ((5, 2),))
     monkeypatch.setattr(module, "STRETCH", 64)
