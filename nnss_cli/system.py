@@ -169,7 +169,7 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
         return {"z_next": rows(*(x for x, _ in moved), *kept), "y": mean(y)}
 
     def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
-        y, u = ((y0 - _down(y_mean, W)) / _down(y_std, W)), ((u0 - _down(u_mean, W)) / _down(u_std, W))
+        y, u = (y0 - _down(y_mean, W)) / _down(y_std, W), (u0 - _down(u_mean, W)) / _down(u_std, W)
         return {"z": rows(*(member.initial(y, u) for member in members), *[y0[:m, :]] * len(keeping))}
 
     def frozen(z: Expression, u: Expression) -> dict[str, Expression]:

@@ -37,11 +37,13 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import lure_kernels as kernels
 from nnss_cli.training.encoder import fit_encoder, regress_encoder
 from nnss_cli.training.engine import Engine
-from nnss_cli.training.fast import Weights
+from nnss_cli.training.fast import STRETCH, Weights
+from nnss_cli.training.feedback import TOO_LARGE
 from nnss_cli.training.gauss_newton import ahead
 from nnss_cli.training.least_squares import Block, NormalEquations, levenberg_marquardt
+from nnss_cli.training.lure import plain_sensitivities
 from nnss_cli.training.lure_start import SLOPES, matrix, start_layer, transformed
-from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers
+from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers, encoder_of_states
 
 APART = 0.02
 """Distance of each of the two real poles that a complex pair becomes from its real part."""
@@ -55,10 +57,6 @@ DELTAS = np.geomspace(1, 1e-5, 21)
 """Of the downstream states, in the basis in which a cascade contracts."""
 SHARES = np.geomspace(0.5, 0.005, 9)
 """Norm of what the units see there."""
-STRETCH = 2048
-"""Samples whose derivatives are held at a time."""
-TOO_LARGE = 1e6
-"""A normalised state beyond it has diverged."""
 
 Division = tuple[FloatArray, FloatArray, int]
 """T (n, n) upper triangular by blocks, orthogonal Q with QᵀAQ ≈ T, and the number of downstream states."""
@@ -94,14 +92,7 @@ class Cascade:
 
     def sensitivities(self, u: FloatArray, x0: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """ŷ (k, m), x (k, n) and ∂ŷ/∂[all matrices; x(0)] (k, m, P + n), in stretches of k samples."""
-        n, m, P = len(self.plain.A), len(self.plain.C), sum(part.size for part in self.plain)
-        state, S = np.array(x0, dtype=np.float64), np.zeros((n, P + n))
-        S[:, P:] = np.eye(n)
-        for start in range(0, len(u), STRETCH):
-            part = np.ascontiguousarray(u[start : start + STRETCH])
-            y, x, J = np.empty((len(part), m)), np.empty((len(part), n)), np.empty((len(part), m, P + n))
-            kernels.sensitivities(*self.plain, state, part, S, y, x, J)
-            yield y, x, J
+        return plain_sensitivities(self.plain, x0, u, STRETCH)
 
     def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
         """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
@@ -313,10 +304,8 @@ def train_cascade(
     """
     a = model.architecture
     model.load_state_dict({name: torch.from_numpy(array) for name, array in engine.weights().items()}, strict=False)
-    guesses = [
-        Weights(model).initial_state(*(signal[: a.encoder_window] for signal in pair))
-        for pair in zip(u, y, strict=True)
-    ]
+    weights, W = Weights(model), a.encoder_window
+    guesses = [weights.initial_state(inputs, outputs[:W]) for inputs, outputs in zip(u, y, strict=True)]
     held, scale = _held(model, u, guesses)
     problem = Problem(held, u, y, a.feedthrough, threads)
     ends = np.cumsum([len(window) for window in y])[:-1]
@@ -325,7 +314,7 @@ def train_cascade(
         if np.isfinite(loss):
             T = _placed(model, problem.at(point), x)
             if not fixed_encoder:
-                fit_encoder(encoder_layers(model), u, y, np.split(x @ T.T, ends), a.encoder_window)
+                fit_encoder(encoder_layers(model), u, y, np.split(x @ T.T, ends), W)
             engine.place(np.concatenate([p.detach().numpy().ravel() for p in model.parameters()]))
         return goes_on(loss)
 
@@ -433,6 +422,5 @@ def cascade_start(
     begin = [best.state_from(record.u, record.y[:FIRST], best.initial @ record.y[0]) for record in train]
     x = [best.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)]
     T = _placed(model, best, np.concatenate(x))
-    u, y = ([getattr(record, signal) for record in train] for signal in "uy")
-    fit_encoder(encoder_layers(model), u, y, [own @ T.T for own in x], a.encoder_window)
+    encoder_of_states(model, train, [own @ T.T for own in x])
     return True

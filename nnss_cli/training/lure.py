@@ -82,16 +82,30 @@ class CompiledLure:
         self, x0: FloatArray, u: FloatArray, stretch: int
     ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Outputs (k, m), states (k, n) and the outputs' derivatives (k, m, p + n) by weights and x0, in stretches."""
-        a, plain, slopes = self.architecture, self.plain(), self.slopes()
-        n, m, matrices = a.order, a.outputs, len(slopes)
-        state, S = x0.copy(), np.zeros((n, matrices + n), self.dtype)
-        S[:, matrices:] = np.eye(n)
-        slopes = slopes.astype(self.dtype)
-        for start in range(0, len(u), stretch):
-            part = u[start : start + stretch]
-            k = len(part)
-            y, x = np.empty((k, m), self.dtype), np.empty((k, n), self.dtype)
-            J = np.empty((k, m, matrices + n), self.dtype)
-            kernels.sensitivities(*plain, state, part, S, y, x, J)
-            by_weights = (J[:, :, :matrices].reshape(-1, matrices) @ slopes).reshape(k, m, -1)
+        slopes = self.slopes().astype(self.dtype)
+        matrices = len(slopes)
+        for y, x, J in plain_sensitivities(self.plain(), x0, u, stretch):
+            by_weights = (J[:, :, :matrices].reshape(-1, matrices) @ slopes).reshape(*y.shape, -1)
             yield y, x, np.concatenate([by_weights, J[:, :, matrices:]], axis=2)
+
+
+def plain_sensitivities(
+    plain: Arrays, x0: FloatArray, u: FloatArray, stretch: int
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Outputs (k, m), states (k, n) and the outputs' derivatives (k, m, P + n) by all matrices and x0, in stretches.
+
+    Args:
+        plain: A, B, F, G, H, b, C, D, E.
+        x0: initial state (n,).
+        u: inputs (K, r).
+        stretch: k, samples at most.
+    """
+    dtype, n, m, matrices = plain[0].dtype, len(plain[0]), len(plain[6]), sum(part.size for part in plain)
+    state, S = np.array(x0, dtype), np.zeros((n, matrices + n), dtype)
+    S[:, matrices:] = np.eye(n)
+    for start in range(0, len(u), stretch):
+        part = np.ascontiguousarray(u[start : start + stretch])
+        k = len(part)
+        y, x, J = np.empty((k, m), dtype), np.empty((k, n), dtype), np.empty((k, m, matrices + n), dtype)
+        kernels.sensitivities(*plain, state, part, S, y, x, J)
+        yield y, x, J

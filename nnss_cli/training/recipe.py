@@ -218,10 +218,9 @@ class Recipe:
             del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
         if self.gain:
             del found["integrator"]
-        fixed = {name for name in (*found, "stability") if getattr(self, name, "auto") != "auto"}
-        if fixed & {"stability", "initial"}:
-            found.pop("cascade", None)
-        return {name: changes for name, changes in found.items() if name not in fixed}
+        if "cascade" in found and not self.stability == self.initial == "auto":
+            del found["cascade"]  # it changes both
+        return {name: changes for name, changes in found.items() if getattr(self, name, "auto") == "auto"}
 
     def replace(self, **changes: Any) -> Recipe:
         """The recipe with what is not None in `changes`."""

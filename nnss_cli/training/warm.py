@@ -150,7 +150,7 @@ def sum_up(model: NNSS, size: FloatArray, train: tuple[Record, ...]) -> None:
         missing.append(difference.y - np.diff(y[:, :, 0], axis=0) / size)
     drift = np.concatenate(missing).mean(axis=0)
     if all(np.isfinite(states).all() for states in x) and np.isfinite(drift).all():
-        _fit_encoder(model, train, x)
+        encoder_of_states(model, train, x)
         with torch.no_grad():
             model.generator_drift.bias.copy_(torch.from_numpy(drift))
 
@@ -171,10 +171,11 @@ def see_windows(model: NNSS, train: tuple[Record, ...]) -> None:
         _, states = weights.free_runs(record.u[:, :, None], record.y[:1].T, x0)
         x.append(states[:, : model.architecture.order, 0].astype(np.float64))
     if all(np.isfinite(states).all() for states in x):
-        _fit_encoder(model, train, x)
+        encoder_of_states(model, train, x)
 
 
-def _fit_encoder(model: NNSS, train: tuple[Record, ...], x: Sequence[FloatArray]) -> None:
+def encoder_of_states(model: NNSS, train: tuple[Record, ...], x: Sequence[FloatArray]) -> None:
+    """Set the encoder of `model` to the regression of states, each (K, n), on what it sees of these experiments."""
     u, y = ([getattr(record, signal) for record in train] for signal in "uy")
     fit_encoder(encoder_layers(model), u, y, x, model.architecture.encoder_window)
 
