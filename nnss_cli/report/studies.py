@@ -32,8 +32,12 @@ def study_note(variants: Sequence[Variant]) -> str:
     return note
 
 
+UNKNOWN = "not done, or not for this record; `nnss ablate` tells which"
+"""Of a variant whose runs are not on disk."""
+
+
 def changes(variants: Sequence[Variant]) -> list[str]:
-    """A line for each variant: its options where they are not those of the first one at the same order.
+    """A line for each variant: its options where they are not those of the first one at the same order, or why none ran.
 
     An option may follow from another one: with a fixed part of the cold model no cold candidate is tried, so that
     `initial` is feedback in the place of auto.
@@ -41,6 +45,8 @@ def changes(variants: Sequence[Variant]) -> list[str]:
     plain = {result.spec.order: telling(result.spec.settings) for result in variants[0].results}
     lines = []
     for variant in variants[1:]:
+        if not variant.results:
+            lines.append(f"{variant.name}: no runs: {variant.refused or UNKNOWN}")
         told: dict[str, list[str]] = {}
         for order, own in {r.spec.order: telling(r.spec.settings) for r in variant.results}.items():
             first = plain.get(order, own)

@@ -310,7 +310,7 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
             ok = [r for r in own if r.status == "ok"]
             row: dict[str, str] = {
                 "order": whole(order), "variant": variant.name,
-                "runs": Cell(f"{len(ok)}/{len(own)}", {"ok": len(ok), "runs": len(own)}),
+                "runs": Cell(f"{len(ok)}/{len(own)}" if own else "–", {"ok": len(ok), "runs": len(own)}),
             }  # fmt: skip
             for split in splits_of([r for v in variants for r in v.results]):
                 if not any(score.split == split for r in ok for score in r.scores):

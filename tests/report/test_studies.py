@@ -106,5 +106,10 @@ def test_what_a_variant_changes_is_said_with_what_follows_from_it(out: Path) -> 
         f"{other.name}: consistency 0.1 (for 0.0), initial feedback (for auto)",
         f"{third.name}: nothing: the recipe has it so",
     ]
+    none = replace(other, results=())
+    assert changes([variants[0], replace(none, refused="expected one"), none]) == [
+        f"{other.name}: no runs: expected one",
+        f"{other.name}: no runs: not done, or not for this record; `nnss ablate` tells which",
+    ]
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "“changed: initial” too" in text

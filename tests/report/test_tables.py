@@ -220,7 +220,7 @@ def test_a_study_compares_medians_and_counts_what_runs_away() -> None:
     assert tables.study_rows([plain, other]) == [
         {"order": "2", "variant": "plain", "runs": "2/3", "train": "3", "val": "2", "test": "6"},
         {"order": "2", "variant": "other", "runs": "0/1", "train": "–", "val": "–", "test": "–"},
-        {"order": "3", "variant": "plain", "runs": "0/0", "train": "–", "val": "–", "test": "–"},
+        {"order": "3", "variant": "plain", "runs": "–", "train": "–", "val": "–", "test": "–"},
         {"order": "3", "variant": "other", "runs": "1/1", "train": "0.5", "val": "0.6", "test": "0.7"},
     ]
     assert tables.study_rows([plain], intervals=True)[0]["train"] == "3 (1–∞)"
