@@ -66,7 +66,7 @@ class NNSS(Method):
         if changes.get("engine") == "auto":
             del changes["engine"]
         name = self.recipe or str(overrides.get("recipe", "best"))
-        known = recipe_of(name, data.presets, order, data.output_count)
+        known = recipe_of(name, data.presets, order, data.output_count, data.input_count)
         recipe = known.replace(**changes)
         if recipe.initial == "auto" and "initial" not in changes and COLD & changes.keys():
             recipe = recipe.replace(initial="feedback")  # what is asked for holds for every candidate

@@ -20,6 +20,8 @@ STARTS = ("auto", "random", "linear", "feedback", "cascade")
 CHOICES = ("auto", "yes", "no")
 JUDGES = ("validation", "blocks")
 LONGEST = 60  # samples of a window of the cold alternative
+UNITS = 16  # of a layer that is tried, at least: one has 2n weights and a few, where one of a generator has 5n²
+MOST = 2000  # weights of a model whose width the recipe chooses; an iteration of Gauss–Newton costs their square
 
 
 @dataclass(frozen=True)
@@ -203,13 +205,13 @@ class Recipe:
             shortest: samples of the shortest training experiment.
         """
         window = max(SHORTEST, min(LONGEST, 3 * shortest // 5))
+        layer = (max(UNITS, 2 * self.hidden[0]),)
         found: dict[str, dict[str, Any]] = {
             "feedthrough": {"feedthrough": "yes"},
             "integrator": {"integrator": "yes"},
             "scheduling": {"scheduling": "x+u"},
-            # a unit of the layer has 2n weights and a few, where one of a generator has 5n²
-            "stability": {"stability": "incremental", "hidden": (2 * self.hidden[0],)},
-            "cascade": {"stability": "incremental", "hidden": (2 * self.hidden[0],), "initial": "cascade"},
+            "stability": {"stability": "incremental", "hidden": layer},
+            "cascade": {"stability": "incremental", "hidden": layer, "initial": "cascade"},
             "initial": {**_COLD, "window": window, "stability": self.simplest().stability},
         }
         if len(self.hidden) > 1 or "y" in self.scheduling or self.optimiser != "gauss-newton":
@@ -249,17 +251,21 @@ _BEST = Recipe(
 _RECIPES = {"best": _BEST, "paper": _PAPER}
 
 
-def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1) -> Recipe:
-    """The recipe `paper` or `best` for an order; the encoder of `best` lets all outputs through, and any state.
+def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1, inputs: int = 1) -> Recipe:
+    """The recipe `paper` or `best` for an order.
+
+    The encoder of `best` lets all outputs through, and any state. Its generator has fewer hidden units where it would
+    have more than `MOST` weights with all of them, one at least.
 
     Args:
         name: of the recipe.
         presets: what the benchmark lays down for it; at an order that it has not, that of the nearest.
         order: number of states n.
         outputs: number of outputs m.
+        inputs: number of inputs r.
 
     Raises:
-        InputError: there is no recipe of that name.
+        InputError: there is no recipe of that name, or the order is none.
     """
     if name not in _RECIPES:
         raise unknown("recipe", name, RECIPES)
@@ -268,4 +274,7 @@ def recipe_of(name: str, presets: Presets, order: int, outputs: int = 1) -> Reci
     recipe = _RECIPES[name].replace(**known)
     if name == "paper":
         return recipe
-    return recipe.replace(encoder=tuple(max(width, outputs, order) for width in recipe.encoder))
+    recipe = recipe.replace(encoder=tuple(max(width, outputs, order) for width in recipe.encoder))
+    while recipe.hidden[0] > 1 and recipe.simplest().architecture(order, inputs, outputs).weights > MOST:
+        recipe = recipe.replace(hidden=(recipe.hidden[0] - 1,))
+    return recipe

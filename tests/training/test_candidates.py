@@ -28,6 +28,15 @@ RECIPE = Recipe(
 )  # fmt: skip
 
 
+UNITS = recipe_module.UNITS
+
+
+@pytest.fixture(autouse=True)
+def small_layers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small generators are tried against small layers here."""
+    monkeypatch.setattr(recipe_module, "UNITS", 1)
+
+
 def records(plant: Callable[[np.ndarray], np.ndarray], *lengths: int) -> tuple[Record, ...]:
     random = np.random.default_rng(5)
     inputs = [random.standard_normal((K, 1)) for K in lengths]
@@ -196,7 +205,7 @@ def test_candidates_share_ssests_model(small_data: Callable, monkeypatch: pytest
     assert sorted(made) == [False, True]
 
 
-def test_a_layer_is_tried_where_one_stage_is_all(small_data: Callable) -> None:
+def test_a_layer_is_tried_where_one_stage_is_all(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is ahead on short beginnings of long records, and may be behind on all of them."""
     data = few(small_data())
     auto = RECIPE.replace(stability="auto", feedthrough="no")
@@ -210,9 +219,29 @@ def test_a_layer_is_tried_where_one_stage_is_all(small_data: Callable) -> None:
     assert "stability" not in auto.replace(hidden=(4, 4)).alternatives(100)  # its layer is one
     assert "stability" not in auto.replace(scheduling="x+y").alternatives(100)
     assert "stability" not in auto.replace(optimiser="adam").alternatives(100)
-    assert auto.alternatives(100)["stability"]["hidden"] == (8,)
+    monkeypatch.setattr(recipe_module, "UNITS", UNITS)
+    units = [auto.replace(hidden=(width,)).alternatives(100)["stability"]["hidden"] for width in (1, 8, 9)]
+    assert units == [(16,), (16,), (18,)]
     assert recipe_of("best", {}, 2).stability == "auto"
     assert recipe_of("paper", {}, 2).stability == "schur"
+
+
+@pytest.mark.parametrize(
+    ("order", "inputs", "outputs", "width"),
+    [(2, 1, 1, 8), (6, 2, 2, 8), (7, 1, 1, 6), (10, 1, 1, 2), (10, 5, 5, 2), (20, 5, 5, 1)],
+)
+def test_a_generator_of_high_order_is_narrower(order: int, inputs: int, outputs: int, width: int) -> None:
+    """An iteration costs the square of its weights: 5488 of them took eight seconds at order 10 with five channels."""
+    recipe = recipe_of("best", {}, order, outputs, inputs)
+    assert recipe.hidden == (width,)
+    wider = recipe.replace(hidden=(width + 1,)).simplest().architecture(order, inputs, outputs)
+    assert width == 8 or wider.weights > recipe_module.MOST
+    assert recipe_of("paper", {}, order, outputs, inputs).hidden == (100,)
+
+
+def test_a_width_that_is_asked_for_stays(small_data: Callable) -> None:
+    settings, data = METHODS["nnss"].settings, small_data().fitting
+    assert [settings(data, 10, asked)["hidden"] for asked in ({}, {"hidden": (8,)})] == [(2,), (8,)]
 
 
 def test_a_cold_candidate_after_a_layer_is_the_papers_structure() -> None:
