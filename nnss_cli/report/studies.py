@@ -37,7 +37,7 @@ UNKNOWN = "not done, or not for this record; `nnss ablate` tells which"
 
 
 def changes(variants: Sequence[Variant]) -> list[str]:
-    """A line for each variant: its options where they are not those of the first one at the same order, or why none ran.
+    """A line for each variant: its options where they are not those of the first one at the same order, or why no run.
 
     An option may follow from another one: with a fixed part of the cold model no cold candidate is tried, so that
     `initial` is feedback in the place of auto.

@@ -30,20 +30,22 @@ SIMPLEST = "as it is"
 ALTERNATIVES = {
     "feedthrough": "feedthrough",
     "integrator": "integrator",
+    "both": "integrator and feedthrough",
     "scheduling": "scheduling on u",
     "stability": "incremental layer",
     "cascade": "incremental layer from a cascade",
     "initial": "cold start",
 }
-"""Field of a recipe that leaves something open, or cascade, → the name of what is tried then."""
+"""Field of a recipe that leaves something open, or several together, → the name of what is tried then."""
 
 
 def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Record, ...]) -> tuple[str, ...]:
     """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
 
-    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one,
-    an incrementally stable layer where the first stage is all there is and its weights do not outnumber the measured
-    outputs, a deep cold model where the generator's do. A layer of few weights is ahead on a short beginning of a
+    A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, both
+    together where both are (the input may show at once in what is summed up), an incrementally stable layer where the
+    first stage is all there is and its weights do not outnumber the measured outputs, a deep cold model where the
+    generator's do. A layer of few weights is ahead on a short beginning of a
     record, and may be behind on all of it, so that on longer ones it is tried from a cascade alone, which must be ahead
     by far.
 
@@ -58,7 +60,8 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     staged = sum(map(len, first)) < sum(map(len, data.train))
 
     def weights(changes: dict[str, Any]) -> int:
-        return recipe.simplest().replace(**changes).architecture(order, data.input_count, data.output_count).weights
+        model = recipe.simplest().replace(**changes, encoder_window=1)  # the encoder's are a regression on states
+        return model.architecture(order, data.input_count, data.output_count).weights
 
     speaks: dict[str, Callable[[], bool]] = {
         "feedthrough": lambda: feedthrough_p_value(data.train) <= LEVEL,
@@ -67,6 +70,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
             and order > data.output_count
             and longest_time_constant(data.train) >= max(map(len, data.train))
         ),
+        "both": lambda: speaks["feedthrough"]() and speaks["integrator"](),
         "scheduling": lambda: True,
         "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
         "cascade": lambda: staged and order >= 2,

@@ -34,6 +34,8 @@ FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
 """Share of the epochs after which a candidate is given up that is behind the one before."""
+REPLACED = {("stability", "initial"), ("integrator", "both")}
+"""What was taken before, and what takes its place: a cold start that of a layer."""
 FEW = 10
 """Epochs after which one is given up where none was better than its start, if the share above is as many or more."""
 
@@ -110,7 +112,7 @@ def train_nnss(
             candidate = base.replace(**changes)
             tried.append(_Attempt(data, order, seed, candidate, records, held, rival, clock, report, linear))
             if not clock.up:
-                tried[-1].train(records, tried[-1].recipe.epochs)
+                tried[-1].train(records)
             epochs += len(tried[-1].watch.losses)
         return tried
 
@@ -139,14 +141,16 @@ def train_nnss(
         if clock.up:
             unfinished.append(name)
             continue
-        changes = alternatives[name]
-        if taken.model.architecture.integrator and not taken.recipe.replace(**changes, integrator="no").integrates:
+        if name == "both" and "feedthrough" in held:
+            continue  # the integrator was tried with it
+        without = alternatives[name] | {"integrator": "no"}
+        if taken.model.architecture.integrator and not taken.recipe.replace(**without).integrates:
             continue  # the optimiser of this alternative cannot train one
         tried = judge(taken.recipe, name, [one.error for one in best])
         if clock.up and len(parts) > 1:  # some part was not trained to its end
             unfinished.append(name)
             continue
-        kept = [won for won in held if (won, name) != ("stability", "initial")]  # a cold start takes a layer's place
+        kept = [won for won in held if (won, name) not in REPLACED]
         label = " with ".join(ALTERNATIVES[won] for won in [*kept, name])
         error, rival = error_of(tried), error_of(best)
         errors[label] = error
@@ -162,9 +166,9 @@ def train_nnss(
         if taking:
             best, taken, held = tried, tried[0], [*kept, name]
             remarks += (f"{label} taken: it lowers the {judged} {margin}",)
-    for index, records in enumerate(further, 1):
+    for records in further:
         if not taken.watch.diverged and not clock.up:
-            taken.train(records, taken.epochs(index))
+            taken.train(records)
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
@@ -262,10 +266,6 @@ class _Attempt:
         self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
-    def epochs(self, stage: int) -> int:
-        """Epochs of a later stage, 1, 2, …, at most: half as many as before, but for a cascade, of so few weights."""
-        return self.recipe.epochs if self.start == "cascade" else max(1, self.recipe.epochs // 2**stage)
-
     @property
     def error(self) -> float:
         """Lowest validation error so far; inf for a training that was given up."""
@@ -277,7 +277,7 @@ class _Attempt:
         errors = free_run_errors(self.watch.engine, self.watch.val, self.watch.init_window)
         return np.concatenate([np.square(each).sum(axis=1) for each in errors])
 
-    def train(self, records: tuple[Record, ...], epochs: int) -> None:
+    def train(self, records: tuple[Record, ...]) -> None:
         """Go on from the best weights so far, on these records, normalised."""
         recipe, watch, later = self.recipe, self.watch, self.samples > 0
         u, y = sliding_windows(records, recipe.window, recipe.stride)
@@ -292,11 +292,11 @@ class _Attempt:
                 _adam(watch.engine, len(u), batches, recipe, named_random(self.seed, "shuffling"), watch)
                 if recipe.refine > 0 and not watch.diverged:
                     watch.begin_again()
-                    self.gauss_newton(u, y, min(recipe.refine, epochs))
+                    self.gauss_newton(u, y, min(recipe.refine, recipe.epochs))
             elif recipe.optimiser == "lbfgs":
-                _lbfgs(watch.engine, epochs, watch)
+                _lbfgs(watch.engine, recipe.epochs, watch)
             else:
-                self.gauss_newton(u, y, epochs)
+                self.gauss_newton(u, y, recipe.epochs)
         except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
             watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
         samples = sum(len(record) for record in records)

@@ -209,6 +209,7 @@ class Recipe:
         found: dict[str, dict[str, Any]] = {
             "feedthrough": {"feedthrough": "yes"},
             "integrator": {"integrator": "yes"},
+            "both": {"feedthrough": "yes", "integrator": "yes"},
             "scheduling": {"scheduling": "x+u"},
             "stability": {"stability": "incremental", "hidden": layer},
             "cascade": {"stability": "incremental", "hidden": layer, "initial": "cascade"},
@@ -220,6 +221,8 @@ class Recipe:
             del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
         if self.gain:
             del found["integrator"]
+        if self.gain or not self.feedthrough == self.integrator == "auto":
+            del found["both"]
         if "cascade" in found and not self.stability == self.initial == "auto":
             del found["cascade"]  # it changes both
         return {name: changes for name, changes in found.items() if getattr(self, name, "auto") == "auto"}

@@ -154,7 +154,7 @@ def test_squares_are_of_the_best_weights_on_what_was_held_out(small_data: Callab
     attempt = module._Attempt(
         data, 2, 0, recipe, train, val, np.inf, module._Clock(0), None, module._remembering()
     )  # fmt: skip
-    attempt.train(train, 8)
+    attempt.train(train)
     assert len(attempt.squares()) == sum(map(len, val))
     assert np.sqrt(attempt.squares().mean()) == pytest.approx(attempt.error, rel=1e-12)
     assert attempt.error == min([*attempt.watch.errors, attempt.error]) < attempt.watch.errors[0]
@@ -270,9 +270,9 @@ def test_only_the_candidate_taken_goes_on(small_data: Callable) -> None:
     data = fitting(small_data(), with_feedthrough)
     epochs: list[int] = []
     training = train_nnss(data, 2, 0, RECIPE.replace(lead=150, epochs=4), lambda epoch, *_: epochs.append(epoch))
-    assert training.epochs == 4 + 2  # of the first stage, and half as many of the second
+    assert training.epochs == 4 + 4  # of the first stage and of the second
     assert epochs == list(range(1, len(epochs) + 1))
-    assert 2 * 4 >= len(epochs) - 2 > 4
+    assert 2 * 4 >= len(epochs) - 4 > 4
     errors = training.candidates
     assert errors["feedthrough"] <= min(training.val_rmse[:4])  # the start counts too
     assert min(training.val_rmse) <= errors["feedthrough"]
@@ -281,7 +281,7 @@ def test_only_the_candidate_taken_goes_on(small_data: Callable) -> None:
 def test_a_later_stage_begins_at_the_best_weights(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = fitting(small_data(), without_feedthrough)
     recipe = RECIPE.replace(lead=150, epochs=6, feedthrough="no")
-    errors = iter([5.0, 3.0, 1.0, 2.0, 4.0, 6.0, 7.0, 9.0, 9.0, 9.0])  # the start, six epochs, three of the next
+    errors = iter([5.0, 3.0, 1.0, 2.0, 4.0, 6.0, 7.0] + [9.0] * 6)  # the start, six epochs, six of the next
     begun = []
     plain = module.gauss_newton
 
@@ -496,6 +496,51 @@ def test_an_integrator_that_won_is_not_started_cold(small_data: Callable, monkey
     training = train_nnss(data, 2, 0, recipe)
     assert training.model.architecture.integrator
     assert training.candidates == {"as it is": 1.0, "integrator": 0.5}
+
+
+def test_what_the_encoder_sees_makes_no_record_a_short_one(small_data: Callable) -> None:
+    """Its weights for a window of 30 samples would outnumber the 100 measured outputs."""
+    data = small_data(K=300).fitting
+    plain = RECIPE.replace(initial="auto", stability="auto", feedthrough="no", hidden=(2,))
+    window = plain.replace(encoder_window=10)
+    weights = [recipe.simplest().architecture(2, 1, 1).weights for recipe in (plain, window)]
+    assert weights[0] < len(data.train[0]) < weights[1]
+    assert worth_trying(data, 2, window, data.train) == worth_trying(data, 2, plain, data.train) == ("stability",)
+
+
+@pytest.mark.parametrize(
+    ("errors", "told", "taken"),
+    [
+        ((1.0, 1.0, 1.0, 0.5), ["feedthrough", "integrator", "integrator and feedthrough"], True),
+        ((1.0, 1.0, 0.5, 0.3), ["feedthrough", "integrator", "integrator and feedthrough"], True),
+        ((1.0, 1.0, 0.5, 0.45), ["feedthrough", "integrator", "integrator and feedthrough"], False),
+        ((1.0, 0.5, 1.0, 0.3), ["feedthrough", "feedthrough with integrator"], True),
+    ],
+)
+def test_an_integrator_is_tried_with_a_feedthrough_that_alone_is_no_help(
+    small_data: Callable, monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], told: list[str], taken: bool
+) -> None:
+    """Errors are of neither, a feedthrough, an integrator, both: in what is summed up u may show at once."""
+    data = small_data(K=150).fitting
+    monkeypatch.setattr(candidates_module, "longest_time_constant", lambda _: np.inf)
+    monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: 0.0)
+    recipe = RECIPE.replace(integrator="auto", epochs=1, patience=1)
+    assert worth_trying(data, 2, recipe, data.train) == ("feedthrough", "integrator", "both")
+
+    def error(engine: Any, *_: Any) -> float:
+        weights = engine.weights()
+        integrator = "generator_drift.bias" in weights
+        return errors[(weights["generator.2.bias"].size == (8 if integrator else 25)) + 2 * integrator]
+
+    monkeypatch.setattr(module, "free_run_rmse", error)
+    training = train_nnss(data, 2, 0, recipe)
+    assert list(training.candidates) == ["as it is", *told]
+    a = training.model.architecture
+    assert (a.integrator and a.feedthrough) == taken
+    monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: 1.0)
+    assert worth_trying(data, 2, recipe, data.train) == ("integrator",)
+    for asked in ({"feedthrough": "yes"}, {"integrator": "yes"}, {"gain": 5.0, "stability": "incremental"}):
+        assert "both" not in recipe.replace(**asked).alternatives(100)
 
 
 def test_a_budget_ends_a_fit_and_says_what_it_left_out(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
