@@ -45,9 +45,8 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, both
     together where both are (the input may show at once in what is summed up), an incrementally stable layer where the
     first stage is all there is and its weights do not outnumber the measured outputs, a deep cold model where the
-    generator's do. A layer of few weights is ahead on a short beginning of a
-    record, and may be behind on all of it, so that on longer ones it is tried from a cascade alone, which must be ahead
-    by far.
+    generator's do. A layer of few weights is ahead on a short beginning of a record, and may be behind on all of it, so
+    that on longer ones it is tried from a cascade alone, which must be ahead by far.
 
     Args:
         data: physical units.

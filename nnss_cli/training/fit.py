@@ -112,7 +112,7 @@ def train_nnss(
             candidate = base.replace(**changes)
             tried.append(_Attempt(data, order, seed, candidate, records, held, rival, clock, report, linear))
             if not clock.up:
-                tried[-1].train(records)
+                tried[-1].train(records, tried[-1].recipe.epochs)
             epochs += len(tried[-1].watch.losses)
         return tried
 
@@ -166,9 +166,9 @@ def train_nnss(
         if taking:
             best, taken, held = tried, tried[0], [*kept, name]
             remarks += (f"{label} taken: it lowers the {judged} {margin}",)
-    for records in further:
+    for index, records in enumerate(further, 1):
         if not taken.watch.diverged and not clock.up:
-            taken.train(records)
+            taken.train(records, taken.epochs(index))
         elif clock.up:
             unfinished.append(f"stage of {sum(map(len, records))} samples")
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
@@ -266,6 +266,10 @@ class _Attempt:
         self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
+    def epochs(self, stage: int) -> int:
+        """Epochs of a later stage, 1, 2, …, at most: half as many as before, but for a cascade, of so few weights."""
+        return self.recipe.epochs if self.start == "cascade" else max(1, self.recipe.epochs // 2**stage)
+
     @property
     def error(self) -> float:
         """Lowest validation error so far; inf for a training that was given up."""
@@ -277,7 +281,7 @@ class _Attempt:
         errors = free_run_errors(self.watch.engine, self.watch.val, self.watch.init_window)
         return np.concatenate([np.square(each).sum(axis=1) for each in errors])
 
-    def train(self, records: tuple[Record, ...]) -> None:
+    def train(self, records: tuple[Record, ...], epochs: int) -> None:
         """Go on from the best weights so far, on these records, normalised."""
         recipe, watch, later = self.recipe, self.watch, self.samples > 0
         u, y = sliding_windows(records, recipe.window, recipe.stride)
@@ -292,11 +296,11 @@ class _Attempt:
                 _adam(watch.engine, len(u), batches, recipe, named_random(self.seed, "shuffling"), watch)
                 if recipe.refine > 0 and not watch.diverged:
                     watch.begin_again()
-                    self.gauss_newton(u, y, min(recipe.refine, recipe.epochs))
+                    self.gauss_newton(u, y, min(recipe.refine, epochs))
             elif recipe.optimiser == "lbfgs":
-                _lbfgs(watch.engine, recipe.epochs, watch)
+                _lbfgs(watch.engine, epochs, watch)
             else:
-                self.gauss_newton(u, y, recipe.epochs)
+                self.gauss_newton(u, y, epochs)
         except SINGULAR:  # torch refuses what the compiled step turns into numbers that are not finite
             watch.diverged = f"the step's matrix became singular in epoch {len(watch.losses) + 1}"
         samples = sum(len(record) for record in records)

@@ -16,6 +16,7 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import PlainArrays
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import cascade as module
+from nnss_cli.training import fit as fit_module
 from nnss_cli.training.candidates import worth_trying
 from nnss_cli.training.cascade import Cascade, Problem, basis, cascade_start, divisions, train_cascade
 from nnss_cli.training.engine import free_run_rmse
@@ -309,6 +310,19 @@ def test_it_is_tried_on_long_records_alone_and_must_be_clearly_ahead(
     assert training.candidates[name] < 0.8 * training.candidates["as it is"]
     assert f"{name} taken: it lowers the validation error by more than 20%" in training.remarks
     assert np.abs(training.model.generator.arrays().A[2:, :2]).max() < 1e-9
+
+
+def test_a_cascade_has_all_epochs_in_every_stage(between: FittingData) -> None:
+    """Its weights are few, so a stage of a long record costs little; others have half as many in each."""
+    train, val = between.normalised()
+    base = recipe_of("best", {}, 4).replace(feedthrough="no", integrator="no", hidden=(3,), epochs=10)
+    found = {}
+    for changes in ({"stability": "schur", "initial": "linear"}, {"stability": "incremental", "initial": "cascade"}):
+        recipe = base.replace(**changes)
+        clock, linear = fit_module._Clock(0), fit_module._remembering()
+        attempt = fit_module._Attempt(between, 4, 0, recipe, train, val, np.inf, clock, None, linear)
+        found[attempt.start] = [attempt.epochs(stage) for stage in (1, 2, 5)]
+    assert found == {"linear": [5, 2, 1], "cascade": [10, 10, 10]}
 
 
 def test_where_it_cannot_be_the_start_is_linear_and_that_is_told(between: FittingData) -> None:

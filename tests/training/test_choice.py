@@ -45,8 +45,8 @@ class Candidates:
             watch=SimpleNamespace(losses=[], diverged=""), trained=[], told=[], on_epoch=on_epoch,
         )  # fmt: skip
 
-        def go(records: Any) -> None:
-            one.trained.append(sum(map(len, records)))
+        def go(records: Any, epochs: int) -> None:
+            one.trained.append((sum(map(len, records)), epochs))
             one.watch.losses += [1.0] * self.epochs
             one.samples = sum(map(len, records))
             self.now += self.costs
@@ -57,6 +57,7 @@ class Candidates:
             return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates)
 
         one.train, one.training, one.squares = go, end, lambda: np.array([one])
+        one.epochs = lambda stage: recipe.epochs - stage
         self.made.append(one)
         return one
 
@@ -88,7 +89,7 @@ def test_without_alternatives_the_simplest_is_taken_and_nothing_told(choose: Cal
     (one,) = found.made
     assert came.taken is one
     assert (one.recipe, one.order, one.seed, one.rival) == (BEST.simplest(), 2, 7, math.inf)
-    assert one.trained == [200]
+    assert one.trained == [(200, BEST.epochs)]
     assert (came.remarks, came.candidates) == ((), {})
 
 
@@ -173,10 +174,10 @@ def test_a_later_candidate_is_compared_with_the_one_taken(choose: Callable) -> N
 
 def test_only_the_one_taken_goes_through_the_other_stages(choose: Callable) -> None:
     found = Candidates([1.0, 0.1])
-    choose(found, ("feedthrough",), BEST.replace(lead=20))
+    choose(found, ("feedthrough",), BEST.replace(lead=20, epochs=9))
     first, second = found.made
-    assert first.trained == [20]
-    assert second.trained == [20, 80, 200]
+    assert first.trained == [(20, 9)]
+    assert second.trained == [(20, 9), (80, 8), (200, 7)]
 
 
 def test_one_that_diverged_goes_through_no_other_stage(choose: Callable) -> None:
@@ -190,7 +191,7 @@ def test_one_that_diverged_goes_through_no_other_stage(choose: Callable) -> None
 
     found.attempt = diverging  # type: ignore[method-assign]
     came = choose(found, (), BEST.replace(lead=20))
-    assert [each.trained for each in found.made] == [[20]]
+    assert [each.trained for each in found.made] == [[(20, BEST.epochs)]]
     assert came.remarks == ()
 
 
@@ -223,7 +224,7 @@ def test_a_budget_leaves_out_what_it_has_no_time_for(choose: Callable) -> None:
     came = choose(found, ("feedthrough", "integrator"), BEST.replace(budget=5.0, lead=20))
     assert len(found.made) == 2
     assert came.taken is found.made[1]
-    assert found.made[1].trained == [20]
+    assert found.made[1].trained == [(20, BEST.epochs)]
     assert came.remarks == (
         "feedthrough taken: it lowers the validation error by more than 20%",
         "stopped by the budget of 5 s, without integrator, stage of 80 samples, stage of 200 samples",

@@ -238,7 +238,9 @@ def test_lbfgs_places_each_iterate_and_ends_after_its_iterations_or_when_told() 
 # what is tried, and on what
 
 
-def test_each_stage_has_all_epochs(small_data: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_stage_has_half_the_epochs_of_the_one_before_and_one_at_least(
+    small_data: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch
+) -> None:
     given: list[tuple[int, int]] = []
 
     def none(engine: Any, u: Any, y: Sequence[np.ndarray], iterations: int, *_: Any) -> None:
@@ -247,8 +249,11 @@ def test_each_stage_has_all_epochs(small_data: Callable[..., Dataset], monkeypat
     monkeypatch.setattr(module, "gauss_newton", none)
     data = small_data(K=400).fitting
     total = sum(map(len, data.train))
-    train_nnss(data, 2, 0, GAUSS.replace(epochs=9, lead=total // 16))
-    assert given == [(8, 9), (32, 9), (total, 9)]
+    for epochs, expected in ((9, [9, 4, 2]), (2, [2, 1, 1])):
+        given.clear()
+        train_nnss(data, 2, 0, GAUSS.replace(epochs=epochs, lead=total // 16))
+        assert [iterations for _, iterations in given] == expected
+        assert [length for length, _ in given] == [8, 32, total]
 
 
 def test_stages_are_of_gauss_newton_on_whole_records_alone() -> None:
