@@ -1,6 +1,7 @@
 """What fits cost on records of 1e3 to 1e6 samples: seconds of processor time and peak memory, a process each.
 
     python benchmarks/length.py [--methods nnss n4sid ssest ssregest] [--longest 1e6] [--order 6] [--channels 1]
+        [--plot docs/length.png]
 
 NN-SS: an iteration of recipe `best`, the normal equations of all samples and the solution of one damped step, for a
 generator with one hidden layer of 2 (one input and output, order 6: some 500 weights). The linear methods: the whole
@@ -18,7 +19,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from nnss_cli.baselines.n4sid import n4sid_auto
@@ -94,6 +96,7 @@ def main() -> None:
     parser.add_argument("--longest", type=float, default=LENGTHS[-1])
     parser.add_argument("--order", type=int, default=6)
     parser.add_argument("--channels", type=int, default=1, help="inputs, and outputs")
+    parser.add_argument("--plot", type=Path, help="draw it, as a PNG")
     parser.add_argument("--at", type=int, help="measure the first method at this length, in this process")
     given = parser.parse_args()
     if given.at:
@@ -104,6 +107,7 @@ def main() -> None:
         )
         print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10)
         return
+    measured = {}
     for method in given.methods:
         rows = []
         for samples in (K for K in LENGTHS if given.longest >= K):
@@ -112,6 +116,7 @@ def main() -> None:
             done = subprocess.run(line, capture_output=True, text=True, check=True)
             seconds, peak = (float(part) for part in done.stdout.split())
             rows.append({"samples": samples, "s": seconds, "µs a sample": 1e6 * seconds / samples, "peak MiB": peak})
+        measured[method] = rows
         print(f"\n{method}, n = {given.order}, {given.channels} input(s) and output(s), float64, one core")
         print(tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=("", ".3f", ".1f", ".0f"), intfmt=","))
         if len(rows) > 1:
@@ -120,6 +125,30 @@ def main() -> None:
                 np.polyfit(lengths, np.log([row[name] for row in rows]), 1)[0] for name in ("s", "peak MiB")
             )
             print(f"slopes: time {time_slope:.2f}, peak memory {memory_slope:.2f}", flush=True)
+    if given.plot:
+        draw(measured, given.plot)
+
+
+def draw(measured: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> None:
+    """Time a sample and peak memory over the record's length, a line each method."""
+    from nnss_cli.report.figures import plt, save_figure
+    from nnss_cli.report.style import STYLE, styles_of
+
+    with plt.rc_context(STYLE):
+        figure, panels = plt.subplots(1, 2, figsize=(8.4, 3.2), layout="constrained")
+        for method, look in styles_of(measured).items():
+            label = f"{look.label}, an iteration" if method == "nnss" else f"{look.label}, the whole fit"
+            for panel, name in zip(panels, ("µs a sample", "peak MiB"), strict=True):
+                rows = measured[method]
+                line = {"color": look.colour, "linestyle": look.line, "marker": look.marker, "markersize": 4}
+                panel.loglog([row["samples"] for row in rows], [row[name] for row in rows], label=label, **line)
+        for panel, title in zip(
+            panels, ("processor time a sample [µs]", "peak memory of the process [MiB]"), strict=True
+        ):
+            panel.set(xlabel="samples of the record", ylabel=title)
+        panels[1].set_ylim(100, 1000)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    save_figure(figure, path)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ class SSEST(Method):
     """Prediction-error minimisation; see `nnss_cli.baselines.ssest`."""
 
     name = "ssest"
-    version = "2"
+    version = "3"
     seeded = False
     position = 60
     options = SSESTOptions
