@@ -21,13 +21,14 @@ from nnss_cli.datasets.record import FloatArray, Record
 LAGS = 10  # p, where the record is long enough
 SAMPLES_A_COEFFICIENT = 3
 RANK = 1e-13  # a smooth input's past has singular values down to 1e-10, which count
+NEW = 1e-10  # of u(k) beside its past, relative; below it is rounding, as of a sum of a few sines
 REAL = 1e-6  # largest imaginary part of a real pole
 
 
 def feedthrough_p_value(records: tuple[Record, ...]) -> float:
     """The p-value of D = 0, the smallest over the outputs times their number (Bonferroni).
 
-    p is 10, or as many lags as leave three samples a coefficient. 1.0 where that is none.
+    p is 10, or as many lags as leave three samples a coefficient. 1.0 where that is none, or the past tells u(k).
 
     Args:
         records: experiments, in any units.
@@ -41,6 +42,10 @@ def feedthrough_p_value(records: tuple[Record, ...]) -> float:
     left, sizes, _ = np.linalg.svd(X / np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny), full_matrices=False)
     Q = left[:, sizes > RANK * sizes[0]]
     U_new, Y_new = U - Q @ (Q.T @ U), Y - Q @ (Q.T @ Y)  # what the past does not tell
+    U_new = U_new[:, np.linalg.norm(U_new, axis=0) > NEW * np.linalg.norm(U, axis=0)]
+    r = U_new.shape[1]
+    if r == 0:
+        return 1.0
     freedom = len(X) - Q.shape[1] - 1 - r
     e = Y_new - U_new @ np.linalg.lstsq(U_new, Y_new, rcond=1e-8)[0]
     before, after = np.sum(Y_new**2, axis=0), np.sum(e**2, axis=0)
