@@ -146,7 +146,8 @@ def draw(measured: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> N
             panels, ("processor time a sample [µs]", "peak memory of the process [MiB]"), strict=True
         ):
             panel.set(xlabel="samples of the record", ylabel=title)
-        panels[1].set_ylim(100, 1000)
+        panels[1].set_yscale("linear")
+        panels[1].set_ylim(bottom=0)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     save_figure(figure, path)
 
