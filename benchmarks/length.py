@@ -136,17 +136,16 @@ def draw(measured: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> N
 
     with plt.rc_context(STYLE):
         figure, panels = plt.subplots(1, 2, figsize=(8.4, 3.2), layout="constrained")
-        for method, look in styles_of(measured).items():
-            label = f"{look.label}, an iteration" if method == "nnss" else f"{look.label}, the whole fit"
-            for panel, name in zip(panels, ("µs a sample", "peak MiB"), strict=True):
-                rows = measured[method]
-                line = {"color": look.colour, "linestyle": look.line, "marker": look.marker, "markersize": 4}
-                panel.loglog([row["samples"] for row in rows], [row[name] for row in rows], label=label, **line)
-        for panel, title in zip(
-            panels, ("processor time a sample [µs]", "peak memory of the process [MiB]"), strict=True
-        ):
-            panel.set(xlabel="samples of the record", ylabel=title)
-        panels[1].set_yscale("linear")
+        titles = {"µs a sample": "processor time a sample [µs]", "peak MiB": "peak memory of the process [MiB]"}
+        for panel, (name, title) in zip(panels, titles.items(), strict=True):
+            for method, look in styles_of(measured).items():
+                rows, what = measured[method], "an iteration" if method == "nnss" else "the whole fit"
+                panel.plot(
+                    [row["samples"] for row in rows], [row[name] for row in rows], label=f"{look.label}, {what}",
+                    color=look.colour, linestyle=look.line, marker=look.marker, markersize=4,
+                )  # fmt: skip
+            panel.set(xlabel="samples of the record", ylabel=title, xscale="log")
+        panels[0].set_yscale("log")
         panels[1].set_ylim(bottom=0)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     save_figure(figure, path)

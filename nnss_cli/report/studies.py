@@ -47,6 +47,7 @@ def changes(variants: Sequence[Variant]) -> list[str]:
     for variant in variants[1:]:
         if not variant.results:
             lines.append(f"{variant.name}: no runs: {variant.refused or UNKNOWN}")
+            continue
         told: dict[str, list[str]] = {}
         for order, own in {r.spec.order: telling(r.spec.settings) for r in variant.results}.items():
             first = plain.get(order, own)
@@ -55,7 +56,7 @@ def changes(variants: Sequence[Variant]) -> list[str]:
             told.setdefault(text or "nothing: the recipe has it so", []).append(str(order))
         if len(told) == 1:
             lines.append(f"{variant.name}: {next(iter(told))}")
-        elif told:
+        else:
             lines.append(f"{variant.name}: " + "; ".join(f"{text} at order {', '.join(n)}" for text, n in told.items()))
     return lines
 

@@ -69,13 +69,17 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
             and order > data.output_count
             and longest_time_constant(data.train) >= max(map(len, data.train))
         ),
-        "both": lambda: speaks["feedthrough"]() and speaks["integrator"](),
+        "both": lambda: {"feedthrough", "integrator"} <= set(found),
         "scheduling": lambda: True,
         "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
         "cascade": lambda: staged and order >= 2,
         "initial": lambda: weights({}) > known,
     }
-    return tuple(name for name in open_ones if speaks[name]())
+    found: list[str] = []
+    for name in open_ones:  # both come after each
+        if speaks[name]():
+            found.append(name)
+    return tuple(found)
 
 
 def blocks(

@@ -34,10 +34,10 @@ FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError, SINGULAR)
 """How a start may fail on poor data: too short, constant, singular."""
 TRIAL = 0.25
 """Share of the epochs after which a candidate is given up that is behind the one before."""
-REPLACED = {("stability", "initial"), ("integrator", "both")}
-"""What was taken before, and what takes its place: a cold start that of a layer."""
 FEW = 10
 """Epochs after which one is given up where none was better than its start, if the share above is as many or more."""
+REPLACED = {("stability", "initial"), ("integrator", "both")}
+"""What was taken before, and what takes its place: a cold start that of a layer."""
 
 
 @dataclass(frozen=True)

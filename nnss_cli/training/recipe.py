@@ -220,12 +220,13 @@ class Recipe:
         if self.stability == "incremental" or self.encoder_window >= window:
             del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
         if self.gain:
-            del found["integrator"]
-        if self.gain or not self.feedthrough == self.integrator == "auto":
-            del found["both"]
-        if "cascade" in found and not self.stability == self.initial == "auto":
-            del found["cascade"]  # it changes both
-        return {name: changes for name, changes in found.items() if getattr(self, name, "auto") == "auto"}
+            del found["integrator"], found["both"]
+        several = {"both": ("feedthrough", "integrator"), "cascade": ("stability", "initial")}
+        return {
+            name: changes
+            for name, changes in found.items()
+            if all(getattr(self, field) == "auto" for field in several.get(name, (name,)))
+        }
 
     def replace(self, **changes: Any) -> Recipe:
         """The recipe with what is not None in `changes`."""

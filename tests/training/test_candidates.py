@@ -499,7 +499,7 @@ def test_an_integrator_that_won_is_not_started_cold(small_data: Callable, monkey
 
 
 def test_what_the_encoder_sees_makes_no_record_a_short_one(small_data: Callable) -> None:
-    """Its weights for a window of 30 samples would outnumber the 100 measured outputs."""
+    """With its weights for a window of 10 samples the model's would outnumber the 100 measured outputs."""
     data = small_data(K=300).fitting
     plain = RECIPE.replace(initial="auto", stability="auto", feedthrough="no", hidden=(2,))
     window = plain.replace(encoder_window=10)
