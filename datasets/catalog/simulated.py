@@ -1,5 +1,6 @@
 """Embedded plants: an ODE, a seeded input and output noise. Nothing is downloaded."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -26,22 +27,25 @@ def simulate_two_tank(u: FloatArray, h0: FloatArray) -> FloatArray:
         Levels at the sampling instants (K, 2) [m], by Runge–Kutta of order 4 with 20 ms steps.
     """
 
-    def slope(h: FloatArray, voltage: float) -> FloatArray:
-        flow1 = OUTLET1 * np.sqrt(2 * GRAVITY * max(h[0], 0.0))
-        flow2 = OUTLET2 * np.sqrt(2 * GRAVITY * max(h[1], 0.0))
-        return np.array([(K_PUMP * voltage - flow1) / A1, (flow1 - flow2) / A2])
+    def slopes(h1: float, h2: float, voltage: float) -> tuple[float, float]:
+        flow1 = OUTLET1 * math.sqrt(2 * GRAVITY * max(h1, 0.0))
+        flow2 = OUTLET2 * math.sqrt(2 * GRAVITY * max(h2, 0.0))
+        return (K_PUMP * voltage - flow1) / A1, (flow1 - flow2) / A2
 
     step = twotank.Ts / SUBSTEPS
-    h = np.array(h0, dtype=np.float64)
+    h1, h2 = (
+        float(h) for h in h0
+    )  # Python's numbers: several times quicker than arrays of two, and the same to the bit
     levels = np.empty((len(u), 2))
-    for k, voltage in enumerate(u):
-        levels[k] = h
+    for k, voltage in enumerate(u.tolist()):
+        levels[k] = h1, h2
         for _ in range(SUBSTEPS):
-            s1 = slope(h, voltage)
-            s2 = slope(h + step / 2 * s1, voltage)
-            s3 = slope(h + step / 2 * s2, voltage)
-            s4 = slope(h + step * s3, voltage)
-            h = h + step / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+            p1, q1 = slopes(h1, h2, voltage)
+            p2, q2 = slopes(h1 + step / 2 * p1, h2 + step / 2 * q1, voltage)
+            p3, q3 = slopes(h1 + step / 2 * p2, h2 + step / 2 * q2, voltage)
+            p4, q4 = slopes(h1 + step * p3, h2 + step * q3, voltage)
+            h1 += step / 6 * (p1 + 2 * p2 + 2 * p3 + p4)
+            h2 += step / 6 * (q1 + 2 * q2 + 2 * q3 + q4)
     return levels
 
 

@@ -1,6 +1,5 @@
 """The page in a real browser. With NNSS_PAGE those tests that need no made-up runs look at that page."""
 
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,6 @@ from html_runs import HOSTILE, HOSTILE_FOLDER, make_runs
 from safetensors.numpy import load_file
 
 LARGEST = 3_000_000  # bytes of a page
-SLOWEST = 1.0  # seconds to open one
 WIDTHS = (360, 768, 1400)
 PAPER = 703  # pixels of A4 between its margins
 WIDER = """() => Array.from(document.querySelectorAll("main *, header *, footer *"))
@@ -21,9 +19,10 @@ WIDER = """() => Array.from(document.querySelectorAll("main *, header *, footer 
     .map((e) => e.outerHTML.slice(0, 120))"""
 
 
-def test_it_opens_at_once_says_nothing_and_asks_for_nothing(
+def test_it_says_nothing_and_asks_for_nothing(
     page_file: Path, visit: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """How long it takes to open is printed, not tested: that is the machine's, too. Its size is bounded."""
     opened = [visit(page_file) for _ in range(3)]
     for one in opened:
         assert one.said == []
@@ -38,9 +37,6 @@ def test_it_opens_at_once_says_nothing_and_asks_for_nothing(
             f"of which the processor works {min(work):.2f} s"
         )
     assert size < LARGEST
-    assert min(work) < SLOWEST
-    if os.getloadavg()[0] <= (os.cpu_count() or 1):  # else others' work is in the clock's time
-        assert min(clock) < SLOWEST
 
 
 def processor_time(page: Any) -> float:
