@@ -229,6 +229,82 @@ def test_derivatives_are_those_of_differences() -> None:
         assert x.shape == (21, 5)
 
 
+def test_a_fit_begins_at_the_states_that_explain_a_records_first_samples() -> None:
+    given, random = random_cascade(1, 0.7, 0.5), np.random.default_rng(2)
+    u, truth = [random.standard_normal((K, 1)) for K in (80, 60)], random.standard_normal((2, 5))
+    y = [given.outputs(inputs, given.states(inputs, x0)) for inputs, x0 in zip(u, truth, strict=True)]
+    y[0][module.FIRST :] += 1  # is not asked
+    problem = Problem(given, u, y, feedthrough=True)
+    point = problem.point(truth + 0.3 * random.standard_normal((2, 5)))
+    np.testing.assert_allclose(point[-10:].reshape(2, 5), truth, atol=1e-6)
+    assert np.array_equal(point[:-10], problem.whole[problem.chosen])
+
+
+def test_training_begins_at_the_layers_own_guess_in_the_cascades_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, random = layer(5, 4), np.random.default_rng(0)
+    given = random_cascade(3)
+    module._placed(
+        model, replace(given, plain=given.plain._replace(D=np.zeros((1, 1)))), random.standard_normal((50, 5))
+    )
+    u, y = random.standard_normal((80, 1)), random.standard_normal((80, 1))
+    engine = FastEngine(model, [u], [y], Recipe(dtype="float64"))
+    own, begun = engine.free_run(u, y[0]), []
+
+    def point(problem: Problem, begin: list[np.ndarray]) -> np.ndarray:
+        begun.append(problem.start.outputs(u, problem.start.states(u, begin[0])))
+        return np.concatenate([problem.whole[problem.chosen], *begin])
+
+    monkeypatch.setattr(Problem, "point", point)
+    train_cascade(model, engine, [u], [y], 1, lambda _: False)
+    np.testing.assert_allclose(begun[0], own, atol=1e-8)
+
+
+@pytest.mark.parametrize(("growth", "finite"), [(0.7, True), (1.6, False)])
+def test_a_step_whose_states_leave_the_range_is_refused(growth: float, finite: bool) -> None:
+    """However small the outputs: 1.6⁶⁰ is 2·10¹², whose square is a number."""
+    given, random = random_cascade(1, growth, 0.0), np.random.default_rng(2)
+    u = [random.standard_normal((60, 1))]
+    problem = Problem(given, u, [np.zeros((60, 1))], feedthrough=False)
+    equations, x = problem.evaluate(np.concatenate([problem.whole[problem.chosen], np.ones(5)]))
+    assert (np.abs(x).max() > module.TOO_LARGE) != finite
+    assert np.isfinite(equations.squares) == finite
+
+
+@pytest.mark.parametrize("feedthrough", [False, True])
+def test_each_round_keeps_the_divisions_that_validate_best(
+    feedthrough: bool, between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "ROUNDS", ((3, 5), (7, 3), (9, 2)))
+    train, val = between.normalised()
+    start, E = linear_start(train, val, 4, 1.0, 10)
+    linear = LinearStateSpace(start.A, start.B, start.C, np.array([[0.5]]), start.Ts), E
+    model, errors, asked = layer(4, 4, feedthrough=feedthrough), iter((5.0, 3.0, 4.0, 1.0, 2.0)), []
+
+    def fitted(
+        given: Cascade, _: object, __: object, iterations: int, window: int, free: bool, gamma: float
+    ) -> Cascade:
+        assert (window, free, gamma) == (10, feedthrough, 1.0)
+        assert given.plain.D.item() == 0.5 * feedthrough  # a model without a feedthrough begins without one
+        asked.append((iterations, given.error))
+        return replace(given, error=next(errors) if iterations == 3 else given.error - 0.1)
+
+    monkeypatch.setattr(module, "fit_cascade", fitted)
+    assert cascade_start(model, linear, train, val, named_random(0, "cascade"), 10)
+    assert asked[:5] == [(3, np.inf)] * 5
+    assert asked[5:8] == [(7, 1.0), (7, 2.0), (7, 3.0)]
+    assert asked[8:] == [(9, 0.9), (9, 1.9)]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_derivatives_are_found_ahead_with_two_threads_alone(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    used = []
+    monkeypatch.setattr(module, "ahead", lambda blocks: used.append(1) or blocks)
+    given, signal = random_cascade(1, 0.7, 0.5), [np.ones((12, 1))]
+    problem = Problem(given, signal, signal, False, threads)
+    problem.evaluate(np.concatenate([problem.whole[problem.chosen], np.zeros(5)]))
+    assert bool(used) == (threads == 2)
+
+
 def test_a_plant_of_this_form_is_found_and_the_layer_stays_of_it(between: FittingData) -> None:
     train, val = between.normalised()
     model = layer(4, 6)
