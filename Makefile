@@ -35,7 +35,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PIP) --editable '.[tune,certify,test,lint]'
 	@touch $@
 
-demo: install ## A small comparison on the embedded plant: no download, about two minutes
+demo: install ## A small comparison on the embedded plant: no download, a few minutes
 	$(NNSS) compare twotank-sim --orders 2 3 --seeds 5 --epochs 150 --out $(OUT)/demo $(ARGS)
 	@echo "box plot: $(OUT)/demo/twotank-sim/paper/boxplot.png"
 
