@@ -271,8 +271,9 @@ def _unexplained(R: FloatArray, n: int) -> FloatArray:
 
 
 def inverse_root(residuals: FloatArray) -> FloatArray | None:
-    """W with WᵀW = Λ⁻¹, Λ the covariance of `residuals` (K, m); None where they are exactly zero."""
-    covariance = residuals.T @ residuals / len(residuals)
+    """W with WᵀW = Λ⁻¹, Λ the covariance of `residuals` (K, m); None where it is zero or not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = residuals.T @ residuals / len(residuals)
     floor = np.trace(covariance) / len(covariance) * 1e-12  # outputs that depend on each other
     if not floor > 0 or not np.isfinite(floor):
         return None

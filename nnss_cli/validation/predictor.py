@@ -21,6 +21,9 @@ from nnss_cli.validation.disturbance import Disturbance
 from nnss_cli.validation.guard import prior_strength, weights
 from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
+LARGEST = 1e150
+"""Of outputs that can be compared: of larger ones the squares, summed over a record, are no numbers."""
+
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
@@ -85,12 +88,12 @@ class Predictor:
 
 
 def require_finite(what: str, y: FloatArray) -> None:
-    """Outputs (K, m) that can be compared with measured ones.
+    """Outputs (K, m) that can be compared with measured ones: their squares are numbers.
 
     Raises:
-        InputError: they leave the finite range; the message says where.
+        InputError: they leave that range; the message says where.
     """
-    lost = ~np.isfinite(y).all(axis=1)
+    lost = ~(np.abs(y) < LARGEST).all(axis=1)
     if lost.any():
         raise InputError(
             f"the {what} leaves the finite range at sample {int(lost.argmax())}: expected a model that is stable for "

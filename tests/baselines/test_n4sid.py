@@ -90,6 +90,7 @@ def test_least_squares_from_triangles() -> None:
     W = inverse_root(e)
     np.testing.assert_allclose(W @ (e.T @ e / 100) @ W.T, np.eye(3), atol=1e-9)
     assert inverse_root(np.zeros((5, 2))) is None
+    assert inverse_root(np.full((5, 2), 1e200)) is None  # and not a word from NumPy
 
 
 @pytest.mark.parametrize("lengths", [(60,), (400,), (150, 30, 90)])  # 30: too short for the widest horizons
