@@ -33,9 +33,8 @@ def simulate_two_tank(u: FloatArray, h0: FloatArray) -> FloatArray:
         return (K_PUMP * voltage - flow1) / A1, (flow1 - flow2) / A2
 
     step = twotank.Ts / SUBSTEPS
-    h1, h2 = (
-        float(h) for h in h0
-    )  # Python's numbers: several times quicker than arrays of two, and the same to the bit
+    # Python's numbers: several times quicker than arrays of two, and the same to the bit.
+    h1, h2 = (float(h) for h in h0)
     levels = np.empty((len(u), 2))
     for k, voltage in enumerate(u.tolist()):
         levels[k] = h1, h2

@@ -14,6 +14,8 @@ from nnss_cli.trained.model import TrainedModel
 from nnss_cli.trained.records import read_start
 
 STARTS = ("outputs", "rest")
+LARGEST = 1e150
+"""Of outputs that can be compared: of larger ones the squares, summed over a record, are no numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +66,7 @@ def simulate_file(
     found = read_start(model, path, outputs=start == "outputs", time=time, Ts=Ts, sheet=sheet)
     with np.errstate(over="ignore", invalid="ignore"):
         simulation = model.simulate(found.u, found.y_init)
-    lost = ~np.isfinite(simulation.y).all(axis=1)
-    if lost.any():
-        raise InputError(
-            f"'{Path(path).name}': the simulation leaves the finite range at sample {int(lost.argmax())}: expected a "
-            "model that is stable for these inputs; 'nnss certify' tells what is promised of it"
-        )
+    require_finite(f"'{Path(path).name}': the simulation", simulation.y, np.inf)
     if found.y is None:
         return Simulated(found.u, simulation.y, simulation.x, None, ())
     begin = model.init_window if model.init_window > 1 else 0
@@ -78,6 +75,25 @@ def simulate_file(
         scaling = model.scaling or Scaling.of((Record(found.u, found.y, model.Ts),))
         scores = score_outputs("file", [found.y[begin:]], [simulation.y[begin:]], scaling)
     return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
+
+
+def require_finite(what: str, y: FloatArray, largest: float = LARGEST) -> None:
+    """Outputs that can be compared with measured ones: their squares are numbers.
+
+    Args:
+        what: they are, at the head of the message.
+        y: the outputs (K, m).
+        largest: what they are to stay below; inf for outputs that are numbers.
+
+    Raises:
+        InputError: they leave that range; the message says where.
+    """
+    lost = ~(np.abs(y) < largest).all(axis=1)
+    if lost.any():
+        raise InputError(
+            f"{what} leaves the finite range at sample {int(lost.argmax())}: expected a model that is stable for these "
+            "inputs; 'nnss certify' tells what is promised of it"
+        )
 
 
 def simulated_table(

@@ -17,9 +17,10 @@ from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.methods.compiled import free_run
+from nnss_cli.trained.simulate import require_finite
 from nnss_cli.validation.limit import linear_limits
 from nnss_cli.validation.linearisation import linearisations, pole_map
-from nnss_cli.validation.predictor import require_finite, step_table
+from nnss_cli.validation.predictor import step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
 from nnss_cli.validation.trained import Forecaster
@@ -48,7 +49,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         )
     simulated = [free_run(trained.model, record.u, record.y[:w]) for record in records]
     for simulation in simulated:
-        require_finite("simulation", simulation.y)
+        require_finite("the simulation", simulation.y)
     one_ahead = [found.predict(record, 1) for record in records]
     rates = tuple(gain.rate for gain in found.gains)
     left_out = max(w, _forgetting(max(rates), shortest))

@@ -17,12 +17,10 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
+from nnss_cli.trained.simulate import require_finite
 from nnss_cli.validation.disturbance import Disturbance
 from nnss_cli.validation.guard import prior_strength, weights
 from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
-
-LARGEST = 1e150
-"""Of outputs that can be compared: of larger ones the squares, summed over a record, are no numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ class Predictor:
         ]
         found = np.stack(members, axis=1)
         for each in found:
-            require_finite("prediction", each.sum(axis=0))
+            require_finite("the prediction", each.sum(axis=0))
         return found
 
     def _member(
@@ -85,20 +83,6 @@ class Predictor:
                 predicted[first:] = system.scaling.restore_y(ahead)
             found.append(predicted)
         return np.stack(found)
-
-
-def require_finite(what: str, y: FloatArray) -> None:
-    """Outputs (K, m) that can be compared with measured ones: their squares are numbers.
-
-    Raises:
-        InputError: they leave that range; the message says where.
-    """
-    lost = ~(np.abs(y) < LARGEST).all(axis=1)
-    if lost.any():
-        raise InputError(
-            f"the {what} leaves the finite range at sample {int(lost.argmax())}: expected a model that is stable for "
-            "these inputs; 'nnss certify' tells what is promised of it"
-        )
 
 
 def _run_on(system: Stepper, z: FloatArray, u: FloatArray, steps: int) -> FloatArray:

@@ -12,11 +12,11 @@ from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.trained import TrainedModel
-from nnss_cli.trained.simulate import Simulated
+from nnss_cli.trained.simulate import Simulated, require_finite
 from nnss_cli.validation.adaptive import AdaptiveBand, adapt
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain
-from nnss_cli.validation.predictor import Guard, Predictor, require_finite
+from nnss_cli.validation.predictor import Guard, Predictor
 from nnss_cli.validation.stepping import steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
@@ -335,7 +335,7 @@ def predicted_with_spread(
     if scale != "ensemble":
         if horizon is None:
             simulated = free_run(trained.model, record.u, record.y[:w]).y
-            require_finite("simulation", simulated)
+            require_finite("the simulation", simulated)
             return simulated, None
         assert predictor is not None
         return predictor.predict(record.u, record.y, horizon, w), None

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,7 +76,6 @@ class Opened:
     page: Any
     said: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
-    seconds: float = 0.0
 
 
 @pytest.fixture
@@ -93,9 +91,7 @@ def visit(chromium: Any) -> Iterator[Callable[..., Opened]]:
         opened.page.on("pageerror", lambda error: opened.said.append(f"error: {error}"))
         opened.page.on("dialog", lambda dialog: (opened.said.append("dialog"), dialog.dismiss()))
         opened.page.on("request", lambda request: opened.asked.append(request.url))
-        begin = time.perf_counter()
         opened.page.goto(path.as_uri())
-        opened.seconds = time.perf_counter() - begin
         return opened
 
     yield open_

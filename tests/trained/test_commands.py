@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 from nnss_cli.datasets.record import Simulation
 
+from nnss_cli.errors import InputError
 from nnss_cli.methods import compiled
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
+from nnss_cli.trained.simulate import require_finite
 
 
 @pytest.fixture
@@ -123,6 +125,15 @@ def test_a_simulation_that_runs_away_is_told(new: Path, nnss: Callable, trained_
     assert done.code == 2
     assert "the simulation leaves the finite range at sample 3" in done.err
     assert not Path("predicted.csv").exists()
+
+
+@pytest.mark.parametrize("far", [np.nan, np.inf, -1e160])
+def test_outputs_whose_squares_are_no_numbers_are_out_of_range(far: float) -> None:
+    y = np.full((6, 2), 1e140)
+    require_finite("the simulation", y)
+    y[3, 1] = far
+    with pytest.raises(InputError, match="the simulation leaves the finite range at sample 3: expected a model"):
+        require_finite("the simulation", y)
 
 
 @pytest.mark.parametrize("method", ["n4sid", "nnss"])
