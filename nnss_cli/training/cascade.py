@@ -248,6 +248,7 @@ def fit_cascade(
     init_window: int,
     feedthrough: bool,
     gamma: float,
+    in_time: Callable[[], bool] = lambda: True,
 ) -> Cascade:
     """Levenberg–Marquardt of what this form leaves free, and of x(0); the iterate that validates best.
 
@@ -259,6 +260,7 @@ def fit_cascade(
         init_window: first samples of a validation experiment that tell x(0).
         feedthrough: whether D is free.
         gamma: what the poles of both parts are to stay within.
+        in_time: whether there is time for another iteration.
     """
     problem = Problem(start, [record.u for record in train], [record.y for record in train], feedthrough)
     y, best = np.concatenate(problem.y), start
@@ -270,7 +272,7 @@ def fit_cascade(
         error = model.validated(val, init_window, *encoder)
         if error < best.error and model.radius < gamma * (1 - INSIDE):
             best = replace(model, error=error)
-        return True
+        return in_time()
 
     begin = problem.point([start.initial @ record.y[0] for record in train])
     levenberg_marquardt(problem.evaluate, begin, iterations, accepted)
@@ -394,6 +396,7 @@ def cascade_start(
     val: tuple[Record, ...],
     random: np.random.Generator,
     init_window: int = 1,
+    in_time: Callable[[], bool] = lambda: True,
 ) -> bool:
     """Set the incrementally stable layer of `model` to the cascade that validates best.
 
@@ -404,6 +407,7 @@ def cascade_start(
         val: validation experiments.
         random: draws what the units see.
         init_window: first samples of a validation experiment that tell x(0).
+        in_time: whether there is time for another iteration, or division.
 
     Returns:
         Whether there is one; else nothing is changed. There is none of one state, nor where no iterate is stable.
@@ -415,7 +419,12 @@ def cascade_start(
     tried = [at_division(given, way, a.hidden[0], train, random) for way in ways]
     for iterations, count in ROUNDS:
         tried = sorted(tried, key=lambda each: each.error)[:count]
-        tried = [fit_cascade(each, train, val, iterations, init_window, a.feedthrough, a.gamma) for each in tried]
+        tried = [
+            fit_cascade(each, train, val, iterations, init_window, a.feedthrough, a.gamma, in_time)
+            if in_time()
+            else each
+            for each in tried
+        ]
     best = min(tried, key=lambda each: each.error, default=None)
     if best is None or not np.isfinite(best.error):
         return False

@@ -205,6 +205,7 @@ def fit_feedback(
     init_window: int = 1,
     feedthrough: bool = False,
     basis: Callable[[Feedback], FloatArray | None] | None = None,
+    in_time: Callable[[], bool] = lambda: True,
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
 
@@ -218,6 +219,7 @@ def fit_feedback(
         init_window: first samples of a validation experiment that tell x(0); where several, they are not scored.
         feedthrough: whether D is estimated.
         basis: the basis T (n, n) of an iterate, None for one that will not do; by default `contracting_basis`.
+        in_time: whether there is time for another iteration.
 
     Returns:
         The model in the basis in which A(x) contracts, and its states (K, n) over the training records, of unit mean
@@ -256,7 +258,7 @@ def fit_feedback(
             if T is not None:
                 T /= np.sqrt(np.mean((x @ T.T) ** 2))
                 lowest, best, waited = error, (model.transform(T), x @ T.T), 0
-        return waited < PATIENCE
+        return waited < PATIENCE and in_time()
 
     def evaluate(point: FloatArray) -> tuple[NormalEquations, FloatArray]:
         errors, J, x = problem.evaluate(point)
@@ -273,6 +275,7 @@ def feedback_start(
     val: tuple[Record, ...],
     random: np.random.Generator,
     init_window: int = 1,
+    in_time: Callable[[], bool] = lambda: True,
 ) -> bool:
     """Set `model` such that it simulates like a linear one with feedback from its outputs.
 
@@ -287,6 +290,7 @@ def feedback_start(
         val: validation experiments.
         random: draws g, slopes and centres.
         init_window: first samples of a validation experiment that tell x(0).
+        in_time: whether there is time for another iteration.
 
     Returns:
         Whether there is such a model that validates better than the linear one; else nothing is changed.
@@ -301,7 +305,7 @@ def feedback_start(
         return None if found is None else found[0]
 
     found = fit_feedback(
-        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis if layered else None
+        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis if layered else None, in_time
     )
     if found is None:
         return False

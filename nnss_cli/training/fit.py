@@ -262,7 +262,9 @@ class _Attempt:
         self.recipe, self.seed = recipe, seed
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
-        self.start, self.remarks = begin(self.model, recipe.initial, train, val, seed, data.init_window, linear)
+        self.start, self.remarks = begin(
+            self.model, recipe.initial, train, val, seed, data.init_window, linear, lambda: not clock.up
+        )
         self.watch = _Watch(val, data.init_window, recipe, rival, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
@@ -355,6 +357,7 @@ def begin(
     seed: int,
     init_window: int = 1,
     linear: LinearStarter | None = None,
+    in_time: Callable[[], bool] = lambda: True,
 ) -> tuple[str, tuple[str, ...]]:
     """Fill the weights of `model` with the start asked for, or with the next that these data allow.
 
@@ -369,6 +372,7 @@ def begin(
         seed: of the random weights and the feedback's gain.
         init_window: first samples of a validation experiment that tell x(0).
         linear: what remembers the results of `linear_start`, which is called where it is None.
+        in_time: whether there is time for another iteration of a feedback or cascade.
 
     Returns:
         The start that was taken, and remarks on those that were not.
@@ -376,10 +380,11 @@ def begin(
     linear, a = linear or linear_start, model.architecture
     if a.integrator:
         size = step_size(train)
-        begun = _begin(model, initial, differences(train, size), differences(val, size), seed, init_window, linear)
+        steps, held = (differences(records, size) for records in (train, val))
+        begun = _begin(model, initial, steps, held, seed, init_window, linear, in_time)
         sum_up(model, size, train)
     else:
-        begun = _begin(model, initial, train, val, seed, init_window, linear)
+        begun = _begin(model, initial, train, val, seed, init_window, linear, in_time)
     if a.encoder_window > 1 and begun[0] != "random":
         see_windows(model, train)
     return begun
@@ -393,6 +398,7 @@ def _begin(
     seed: int,
     init_window: int,
     linear: LinearStarter,
+    in_time: Callable[[], bool],
 ) -> tuple[str, tuple[str, ...]]:
     """`begin` without a look at the integrator."""
     remarks: tuple[str, ...] = ()
@@ -422,7 +428,7 @@ def _begin(
         what, make, why = beyond[initial]
         waiting_for(f"{what}, to start from")
         try:
-            if make(model, start, train, val, named_random(seed, initial), init_window):
+            if make(model, start, train, val, named_random(seed, initial), init_window, in_time):
                 return initial, remarks
             remarks += (f"{initial} start refused: {why}",)
         except FAILURES as error:

@@ -281,7 +281,7 @@ def test_each_round_keeps_the_divisions_that_validate_best(
     model, errors, asked = layer(4, 4, feedthrough=feedthrough), iter((5.0, 3.0, 4.0, 1.0, 2.0)), []
 
     def fitted(
-        given: Cascade, _: object, __: object, iterations: int, window: int, free: bool, gamma: float
+        given: Cascade, _: object, __: object, iterations: int, window: int, free: bool, gamma: float, ___: object
     ) -> Cascade:
         assert (window, free, gamma) == (10, feedthrough, 1.0)
         assert given.plain.D.item() == 0.5 * feedthrough  # a model without a feedthrough begins without one
@@ -293,6 +293,28 @@ def test_each_round_keeps_the_divisions_that_validate_best(
     assert asked[:5] == [(3, np.inf)] * 5
     assert asked[5:8] == [(7, 1.0), (7, 2.0), (7, 3.0)]
     assert asked[8:] == [(9, 0.9), (9, 1.9)]
+
+
+def test_when_the_time_is_up_no_further_division_and_no_further_iteration_begins(
+    between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train, val = between.normalised()
+    linear, left, evaluated = linear_start(train, val, 4, 1.0, 10), [5], [0]
+
+    def in_time() -> bool:
+        left[0] -= 1
+        return left[0] >= 0
+
+    def counted(*given: object) -> object:
+        evaluated[0] += 1
+        return evaluate(*given)
+
+    evaluate = Problem.evaluate
+    monkeypatch.setattr(Problem, "evaluate", counted)
+    random = named_random(0, "cascade")
+    assert cascade_start(layer(4, 4), linear, train, val, random, 10, in_time)  # of what there was time for, the best
+    assert 0 < evaluated[0] < 12  # one division's, with steps that were refused
+    assert not cascade_start(layer(4, 4), linear, train, val, random, 10, lambda: False)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
