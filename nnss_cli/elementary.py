@@ -1,10 +1,10 @@
 """A step of a model as a list of elementary operations on matrices, of which simulation and every export are made.
 
-The operations are + − × / (element by element, a scalar with anything), product, transpose, reshape, part, stack, sum,
-square root and sigmoid. Whatever has these can run a model: there is no solver among them. Systems of equations are
-solved by elimination without pivoting, which is backward stable where the symmetric part is positive definite, as
-that of the Schur parametrisation's M is by construction (A. George and K. Ikramov, SIAM J. Matrix Anal. Appl. 26(1),
-2004; G. Golub and C. Van Loan, "Matrix Computations", 4th ed., 2013, 4.3).
+The operations are + − × / and < (element by element, a scalar with anything), product, transpose, reshape, part,
+stack, sum, square root and sigmoid. Whatever has these can run a model: there is no solver among them. Systems of
+equations are solved by elimination without pivoting, which is backward stable where the symmetric part is positive
+definite, as that of the Schur parametrisation's M is by construction (A. George and K. Ikramov, SIAM J. Matrix Anal.
+Appl. 26(1), 2004; G. Golub and C. Van Loan, "Matrix Computations", 4th ed., 2013, 4.3).
 
 A formula written with `Expression`s is traced into a `Program`, once; a program is data.
 """
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[Any]
 Shape: TypeAlias = tuple[int, int]
 
-ELEMENTWISE = ("add", "subtract", "multiply", "divide")
+ELEMENTWISE = ("add", "subtract", "multiply", "divide", "less")
 OPERATIONS = ("input", "constant", *ELEMENTWISE, "product", "transpose", "reshape", "part", "rows", "columns", "sum",
               "root", "sigmoid")  # fmt: skip
 """All there are: rows and columns stack matrices below and beside each other."""
@@ -119,6 +119,7 @@ NUMPY: dict[str, Callable[..., Array]] = {
     "subtract": lambda _, a, b: a - b,
     "multiply": lambda _, a, b: a * b,
     "divide": lambda _, a, b: a / b,
+    "less": lambda _, a, b: (a.real < b.real).astype(float),
     "product": lambda _, a, b: a @ b,
     "transpose": lambda _, a: a.swapaxes(-1, -2),
     "reshape": lambda node, a: a.reshape(*a.shape[:-2], *node.shape),
@@ -169,6 +170,10 @@ class Expression:
 
     def __truediv__(self, other: Expression | Array | float) -> Expression:
         return self._elementwise("divide", other)
+
+    def less(self, other: Expression | Array | float) -> Expression:
+        """1 where an entry is smaller, 0 elsewhere; it has no slope."""
+        return self._elementwise("less", other)
 
     def __matmul__(self, other: Expression | Array) -> Expression:
         b = self._of(other)

@@ -126,12 +126,13 @@ class Parts:
     """Number of samples W that `initial` takes; the same for all of an ensemble."""
 
 
-def system_of(members: Sequence[Parts], scaling: Any) -> System:
+def system_of(members: Sequence[Parts], scaling: Any, trimmed: int = 0) -> System:
     """The system of one model, or of several whose outputs are averaged.
 
     Args:
         members: at least one, all of the same signals.
         scaling: of `nnss_cli.datasets.record.Scaling`, the same for all.
+        trimmed: how many of the lowest, and of the highest, are left out of the mean at each sample, of each output.
     """
     u_mean, u_std, y_mean, y_std = (
         np.asarray(part, dtype=np.float64)[:, None]
@@ -155,18 +156,18 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
             found.append((x, y))
         return found
 
-    def mean(values: Sequence[Expression]) -> Expression:
-        total = values[0]
-        for value in values[1:]:
-            total = total + value
-        return total / float(len(values)) if len(values) > 1 else total
+    def shared(values: Sequence[Expression], shares: Sequence[Expression]) -> list[Expression]:
+        """What each member has (m, ·) times the share (m, 1) that it has in each output."""
+        if len(values) == 1:
+            return [values[0]]
+        return [value * (share @ np.ones((1, value.shape[1]))) for value, share in zip(values, shares, strict=True)]
 
     def step(z: Expression, u: Expression) -> dict[str, Expression]:
         u = (u - u_mean) / u_std
         moved = [member.advance(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
         y = [own * y_std + y_mean for _, own in moved]
         kept = [own for own, member in zip(y, members, strict=True) if member.keeps_output]
-        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": mean(y)}
+        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": _total(shared(y, _shares(y, trimmed)))}
 
     def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
         y, u = (y0 - _down(y_mean, W)) / _down(y_std, W), (u0 - _down(u_mean, W)) / _down(u_std, W)
@@ -174,18 +175,20 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
 
     def frozen(z: Expression, u: Expression) -> dict[str, Expression]:
         u = (u - u_mean) / u_std
-        found = [member.frozen(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
+        begun = split(z)
+        found = [member.frozen(x, u, y) for member, (x, y) in zip(members, begun, strict=True)]
+        y_now = [member.advance(x, u, y)[1] for member, (x, y) in zip(members, begun, strict=True)]
+        shares = _shares(y_now, trimmed)
         A = [
             columns(*(own if i == j else z.constant(np.zeros((own.shape[0], members[j].n))) for j in range(len(found))))
             for i, (own, *_) in enumerate(found)
         ]
         to_output, from_input = z.constant(np.diag(y_std[:, 0])), z.constant(np.diag(1 / u_std[:, 0]))
-        count = float(len(found))
         return {
             "A": rows(*A),
             "B": rows(*(B @ from_input for _, B, _, _ in found)),
-            "C": to_output @ columns(*(C / count for _, _, C, _ in found)),
-            "D": to_output @ mean([D for *_, D in found]) @ from_input,
+            "C": to_output @ columns(*shared([C for _, _, C, _ in found], shares)),
+            "D": to_output @ _total(shared([D for *_, D in found], shares)) @ from_input,
         }
 
     N = n + m * len(keeping)
@@ -195,6 +198,28 @@ def system_of(members: Sequence[Parts], scaling: Any) -> System:
         trace(frozen, z=(N, 1), u=(r, 1)),
         n, N - n, r, m, u_mean[:, 0], y_mean[:, 0], any(member.feedthrough for member in members), W,
     )  # fmt: skip
+
+
+def _total(values: Sequence[Expression]) -> Expression:
+    total = values[0]
+    for value in values[1:]:
+        total = total + value
+    return total
+
+
+def _shares(values: Sequence[Expression], trimmed: int) -> list[Expression]:
+    """The share of each value (m, 1) in their mean without the `trimmed` lowest and highest of each row."""
+    kept = 1.0 / (len(values) - 2 * trimmed)
+    same = values[0].constant(np.full(values[0].shape, kept))
+    if trimmed == 0:
+        return [same] * len(values)
+    ranks = [value.constant(np.zeros(value.shape)) for value in values]
+    for j in range(len(values)):
+        for i in range(j):  # of equal ones the first counts as the lower
+            smaller = values[j].less(values[i])
+            ranks[i], ranks[j] = ranks[i] + smaller, ranks[j] - smaller + 1.0
+    first, last = trimmed - 0.5, len(values) - trimmed - 0.5
+    return [(rank.less(last) - rank.less(first)) * kept for rank in ranks]
 
 
 def _down(column: Array, times: int) -> Array:

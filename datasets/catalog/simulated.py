@@ -48,16 +48,21 @@ def simulate_two_tank(u: FloatArray, h0: FloatArray) -> FloatArray:
     return levels
 
 
+def draw(random: np.random.Generator, samples: int) -> tuple[FloatArray, FloatArray]:
+    """An input (K,) [V] like the recorded one, whole volts from 1 to 10 for 100 to 250 samples, and h2 (K,) [m]."""
+    levels: list[float] = []
+    while len(levels) < samples:
+        levels += [float(random.integers(1, 11))] * int(random.choice([100, 150, 200, 250]))
+    u = np.array(levels[:samples])
+    return u, simulate_two_tank(u, np.array([0.05, 0.09]))[:, 1]
+
+
 def load(path: Path | None, protocol: str) -> Dataset:
     """Simulate and split as the recorded two-tank benchmark. `path` is not used: there is no file."""
     del path
     random = np.random.default_rng(20251)
-    # Like the recorded input: whole volts from 1 to 10, held for 100 to 250 samples.
-    levels: list[float] = []
-    while len(levels) < twotank.SAMPLES:
-        levels += [float(random.integers(1, 11))] * int(random.choice([100, 150, 200, 250]))
-    u = np.array(levels[: twotank.SAMPLES])
-    y = simulate_two_tank(u, np.array([0.05, 0.09]))[:, 1] + NOISE * random.standard_normal(len(u))
+    u, level = draw(random, twotank.SAMPLES)
+    y = level + NOISE * random.standard_normal(len(u))
     return twotank.split("twotank-sim", u[:, None], y[:, None], protocol)
 
 

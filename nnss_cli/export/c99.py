@@ -196,7 +196,7 @@ class _Emitter:
     def _loops(self, node: Node, to: str, of: Sequence[str], shapes: Sequence[tuple[int, int]]) -> list[str]:
         p, q = node.shape
         operation = node.operation
-        signs = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
+        signs = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "less": "<"}
         if operation in signs:
             a, b = (_entry(x, shape) for x, shape in zip(of, shapes, strict=True))
             return [_each(p * q, f"{to}[i] = {a} {signs[operation]} {b};")]

@@ -44,6 +44,7 @@ def _operations(casadi: Any) -> Mapping[str, Callable[..., Any]]:
         "subtract": lambda _, a, b: a - b,
         "multiply": lambda _, a, b: a * b,
         "divide": lambda _, a, b: a / b,
+        "less": lambda _, a, b: a < b,
         "product": lambda _, a, b: casadi.mtimes(a, b),
         "transpose": lambda _, a: a.T,
         # its matrices lie column by column

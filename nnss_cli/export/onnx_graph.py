@@ -93,6 +93,7 @@ class _Graph:
             "subtract": lambda _, a, b: self.add("Sub", a, b),
             "multiply": lambda _, a, b: self.add("Mul", a, b),
             "divide": lambda _, a, b: self.add("Div", a, b),
+            "less": lambda _, a, b: self.add("Cast", self.add("Less", a, b), to=_type(self.precision)),
             "product": lambda _, a, b: self.add("MatMul", a, b),
             "transpose": lambda _, a: self.add("Transpose", a, perm=[1, 0]),
             "reshape": lambda node, a: self.add("Reshape", a, self.whole(node.shape)),
@@ -115,10 +116,15 @@ class _Graph:
 
 
 def _value(name: str, precision: str, shape: Sequence[int | str]) -> Any:
-    from onnx import TensorProto, helper
+    from onnx import helper
 
-    kinds = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE}
-    return helper.make_tensor_value_info(name, kinds[precision], list(shape))
+    return helper.make_tensor_value_info(name, _type(precision), list(shape))
+
+
+def _type(precision: str) -> int:
+    from onnx import TensorProto
+
+    return {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE}[precision]
 
 
 def _step(system: System, precision: str) -> Any:

@@ -25,6 +25,7 @@ PYTHON: dict[str, Template] = {
     "subtract": lambda _, a, b: f"{a} - {b}",
     "multiply": lambda _, a, b: f"{a} * {b}",
     "divide": lambda _, a, b: f"{a} / {b}",
+    "less": lambda _, a, b: f"({a} < {b}) * 1.0",
     "product": lambda _, a, b: f"{a} @ {b}",
     "transpose": lambda _, a: f"{a}.T",
     "reshape": lambda node, a: f"{a}.reshape{node.shape}",

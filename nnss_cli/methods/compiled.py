@@ -36,7 +36,7 @@ def free_run(model: Model, u: FloatArray, y_init: FloatArray) -> Simulation:
 
     if isinstance(model, Ensemble):
         each = [free_run(member, u, y_init) for member in model.members]
-        return Simulation(np.mean([one.y for one in each], axis=0), each[0].x)
+        return Simulation(model.together(np.stack([one.y for one in each])), each[0].x)
     if not isinstance(model, NNSS):
         return model.simulate(u, y_init)
     known = np.atleast_2d(y_init)

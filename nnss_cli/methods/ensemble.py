@@ -40,10 +40,11 @@ def better_half(candidates: Sequence[Any], data: FittingData) -> tuple[Any, ...]
 
 
 class Ensemble(Method):
-    """The mean of the simulated outputs of the seeds of NN-SS that validate better."""
+    """The seeds of NN-SS that validate better as one model: the mean of the middle ones of their simulated outputs."""
 
     name = "nnss-ensemble"
     seeded = False
+    version = "2"
     position = 20
     members = "nnss"
     models = {"ensemble": _read}  # noqa: RUF012 - never changed

@@ -17,6 +17,7 @@ import numpy as np
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
+from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.trained.simulate import require_finite
 from nnss_cli.validation.disturbance import Disturbance
 from nnss_cli.validation.guard import prior_strength, weights
@@ -25,7 +26,7 @@ from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """A model with a gain; of an ensemble, each member has its own, and the mean of theirs is predicted."""
+    """A model with a gain; of an ensemble, each member has its own, and theirs together is predicted."""
 
     model: Model
     """What runs between the corrections."""
@@ -48,7 +49,13 @@ class Predictor:
         Raises:
             InputError: the horizon is not positive, or the prediction leaves the finite range.
         """
-        return np.mean(self.predict_each(u, y, (horizon,), init_window)[0], axis=0)
+        return self.together(self.predict_each(u, y, (horizon,), init_window))[0]
+
+    def together(self, each: FloatArray) -> FloatArray:
+        """What is predicted at each horizon (horizons, K, m), from what each member does (horizons, members, K, m)."""
+        if isinstance(self.model, Ensemble):
+            return np.stack([self.model.together(at_one) for at_one in each])
+        return np.asarray(each[:, 0])
 
     def predict_each(
         self, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], init_window: int = 1
@@ -116,7 +123,7 @@ class Guard:
         """For a predictor, from its validation records (physical units)."""
         gaps: dict[int, list[FloatArray]] = {horizon: [] for horizon in horizons}
         for record in val:
-            each = predictor.predict_each(record.u, record.y, horizons, init_window).mean(axis=1)
+            each = predictor.together(predictor.predict_each(record.u, record.y, horizons, init_window))
             for horizon, predicted in zip(horizons, each, strict=True):
                 gaps[horizon].append((persistence(record.y, horizon) - predicted)[init_window:])
         return cls({horizon: prior_strength(own, horizon) for horizon, own in gaps.items()}, init_window)
@@ -163,7 +170,7 @@ def step_table(
     wanted: tuple[int | None, ...] = (*horizons, None)
     squares, persisting, guarding, count = 0.0, 0.0, 0.0, 0
     for record in records:
-        each = predictor.predict_each(record.u, record.y, wanted, init_window).mean(axis=1)
+        each = predictor.together(predictor.predict_each(record.u, record.y, wanted, init_window))
         lasting = np.stack([persistence(record.y, horizon) for horizon in horizons])
         squares = squares + np.square(each - record.y)[:, init_window:].sum(axis=1)
         persisting = persisting + np.square(lasting - record.y)[:, init_window:].sum(axis=1)

@@ -339,10 +339,11 @@ def predicted_with_spread(
             return simulated, None
         assert predictor is not None
         return predictor.predict(record.u, record.y, horizon, w), None
-    each = (predictor or simulator(trained)).predict_each(record.u, record.y, (horizon,), w)[0]
-    if len(each) < 2:
+    predictor = predictor or simulator(trained)
+    each = predictor.predict_each(record.u, record.y, (horizon,), w)
+    if each.shape[1] < 2:
         raise InputError(
             "interval: a band that follows an ensemble's spread needs an ensemble of two members at least, found one "
             "model: train nnss-ensemble, or leave --interval-by out"
         )
-    return each.mean(axis=0), each.std(axis=0, ddof=1)
+    return predictor.together(each)[0], each[0].std(axis=0, ddof=1)

@@ -98,6 +98,20 @@ def test_parity(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> No
         assert found.samples == 40
 
 
+@pytest.mark.parametrize("target", TARGETS)
+def test_parity_of_an_ensemble_that_leaves_out_the_lowest_and_the_highest(target: str, tmp_path: Path) -> None:
+    kinds = (("schur", "x"), ("incremental", "x+u"), ("schur", "x+y"), ("quadratic", "x"), ("schur", "x+u+y"))
+    members = [untrained(*kind, 2 + number % 2, (2, 3), number).model for number, kind in enumerate(kinds)]
+    for other in members[1:]:
+        for name in ("u_mean", "u_std", "y_mean", "y_std"):
+            getattr(other, name).copy_(getattr(members[0], name))
+    model = TrainedModel(Ensemble(tuple(members)))
+    assert model.model.trimmed == 1
+    for found in writer(target)(model, facts_of(model), parity.trial_of(model), tmp_path, "model"):
+        assert found.step <= DOUBLE.get(found.what, 2e-6)
+        assert found.simulation <= DOUBLE.get(found.what, 1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("kind", EVERY, ids=names(EVERY))

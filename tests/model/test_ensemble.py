@@ -1,5 +1,6 @@
-"""An ensemble: the mean of its members, chosen on validation, the same from disk."""
+"""An ensemble: the mean of the middle ones of its members, chosen on validation, the same from disk."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from nnss_cli.datasets.catalog import load
 from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling, Simulation
 
+from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS, load_model
 from nnss_cli.methods.ensemble import better_half
 from nnss_cli.model.ensemble import Ensemble
@@ -22,10 +24,33 @@ def members() -> list[NNSS]:
     return [method.fit(data, 2, seed, method.settings(data, 2, SMALL), None).model for seed in range(3)]  # type: ignore[misc]
 
 
-def test_it_is_the_mean_of_its_members(members: list[NNSS]) -> None:
+def test_of_two_it_is_the_mean_of_three_the_middle_one_at_each_sample(members: list[NNSS]) -> None:
     record = load("twotank-sim").tests["test"][0]
-    mean = np.mean([member.simulate(record.u, record.y[0]).y for member in members], axis=0)
-    np.testing.assert_allclose(Ensemble(tuple(members)).simulate(record.u, record.y[0]).y, mean)
+    each = np.stack([member.simulate(record.u, record.y[0]).y for member in members])
+    for rule, count, expected in (
+        ("middle", 2, each[:2].mean(axis=0)), ("middle", 3, np.median(each, axis=0)), ("mean", 3, each.mean(axis=0)),
+    ):  # fmt: skip
+        model = Ensemble(tuple(members[:count]), rule)
+        np.testing.assert_allclose(model.simulate(record.u, record.y[0]).y, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("count", "trimmed"), [(1, 0), (2, 0), (3, 1), (4, 1), (5, 1), (7, 1), (8, 2), (11, 2), (12, 3), (15, 3)]
+)
+def test_a_quarter_is_left_out_at_each_end_and_one_at_least(count: int, trimmed: int, members: list[NNSS]) -> None:
+    ensemble = Ensemble(tuple(members[:1] * count))
+    assert ensemble.trimmed == trimmed
+    assert Ensemble(ensemble.members, "mean").trimmed == 0
+    each = np.random.default_rng(count).standard_normal((count, 6, 2))
+    expected = np.sort(each, axis=0)[trimmed : count - trimmed].mean(axis=0)
+    np.testing.assert_allclose(ensemble.together(each), expected, rtol=1e-13)
+    np.testing.assert_allclose(ensemble.together(each[::-1]), expected, rtol=1e-13)
+    if trimmed:
+        astray = each.copy()
+        astray[0] = 1e6  # as many as are left out take it nowhere: it stays among the others
+        others = ensemble.together(astray)
+        assert (each[1:].min(axis=0) <= others).all()
+        assert (others <= each[1:].max(axis=0)).all()
 
 
 def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> None:
@@ -42,11 +67,26 @@ def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> 
 
 def test_saved_and_loaded_it_is_the_same(members: list[NNSS], tmp_path: Path) -> None:
     record = load("twotank-sim").tests["test"][0]
-    ensemble = Ensemble(tuple(members[:2]))
-    ensemble.save(tmp_path)
-    read = load_model(tmp_path)
-    assert isinstance(read, Ensemble)
-    np.testing.assert_array_equal(read.simulate(record.u, record.y[0]).y, ensemble.simulate(record.u, record.y[0]).y)
+    for rule in ("middle", "mean"):
+        ensemble = Ensemble(tuple(members), rule)
+        ensemble.save(tmp_path / rule)
+        read = load_model(tmp_path / rule)
+        assert isinstance(read, Ensemble)
+        assert read.rule == rule
+        expected = ensemble.simulate(record.u, record.y[0]).y
+        np.testing.assert_array_equal(read.simulate(record.u, record.y[0]).y, expected)
+
+
+def test_a_file_without_a_rule_is_of_an_older_nnss_that_took_the_mean(members: list[NNSS], tmp_path: Path) -> None:
+    Ensemble(tuple(members)).save(tmp_path)
+    file = tmp_path / "model.json"
+    content = json.loads(file.read_text())
+    file.write_text(json.dumps(content | {"rule": "best"}))
+    with pytest.raises(InputError, match="unknown rule of an ensemble 'best'"):
+        load_model(tmp_path)
+    del content["rule"]
+    file.write_text(json.dumps(content))
+    assert load_model(tmp_path).rule == "mean"  # type: ignore[attr-defined]
 
 
 class Offset:

@@ -18,6 +18,7 @@ from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import METHODS, compiled, load_model, select
+from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
@@ -131,8 +132,11 @@ def test_a_runs_scores_are_of_the_same_simulation(
     monkeypatch.setattr(compiled, "LONG", 20)
     _, signals = simulate_splits(candidates[0].model, dataset)
     ensemble = METHODS["nnss-ensemble"].combine([each.model for each in candidates], dataset.fitting).model
+    _, of_three = simulate_splits(Ensemble(tuple(each.model for each in candidates)), dataset)
     simulate_splits(ensemble, dataset)
     assert set(longest) == {1}
+    each = [one.simulate(record.u, record.y[:1]).y for one in candidates]
+    np.testing.assert_array_equal(of_three["test/0/y_sim"], np.median(each, axis=0))
     np.testing.assert_array_equal(
         signals["test/0/y_sim"], candidates[0].simulate(record.u, record.y[:1]).y, strict=True
     )

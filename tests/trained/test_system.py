@@ -61,9 +61,34 @@ def test_parity_of_linear_models_and_ensembles(
         for other in others:
             for name in ("u_mean", "u_std", "y_mean", "y_std"):
                 getattr(other, name).copy_(getattr(first, name))
-        ensemble = TrainedModel(Ensemble((first, *others)))
-        assert largest_error(ensemble) < 1e-13
-        assert ensemble.system.n == 8
+        for rule in ("middle", "mean"):
+            ensemble = TrainedModel(Ensemble((first, *others), rule))
+            assert largest_error(ensemble) < 1e-13
+            assert ensemble.system.n == 8
+
+
+@pytest.mark.parametrize("count", [2, 4, 5, 8])
+def test_an_ensembles_frozen_matrices_and_jacobians_are_those_of_the_members_that_count(
+    count: int, untrained: Callable[..., TrainedModel]
+) -> None:
+    members = [untrained("schur", "x", 2, 2, 3, seed=seed, feedthrough=True).model for seed in range(count)]
+    for other in members[1:]:
+        for name in ("u_mean", "u_std", "y_mean", "y_std"):
+            getattr(other, name).copy_(getattr(members[0], name))
+    model = TrainedModel(Ensemble(tuple(members)))
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        z, u = random.standard_normal(2 * count), random.standard_normal(2)
+        z_next, y = model.system.advance(z, u)
+        each = np.array([TrainedModel(one).system.advance(z[2 * i : 2 * i + 2], u)[1] for i, one in enumerate(members)])
+        np.testing.assert_allclose(y, model.model.together(each), rtol=1e-13, atol=1e-13)
+        f = model.matrices(z, u)
+        np.testing.assert_allclose(f.A @ z + f.B @ (u - f.u_mean), z_next, atol=1e-12)
+        np.testing.assert_allclose(f.C @ z + f.D @ (u - f.u_mean) + f.y_mean, y, atol=1e-12)
+        _, _, H, D = model.system.jacobians(z, u)
+        steps = 1e-7 * np.eye(2 * count + 2)
+        moved = [model.system.advance(z + step[:-2], u + step[-2:])[1] - y for step in steps]
+        np.testing.assert_allclose(np.array(moved).T / 1e-7, np.hstack([H, D]), atol=1e-5)
 
 
 def test_float32_models_are_their_weights_in_float64(untrained: Callable[..., TrainedModel]) -> None:

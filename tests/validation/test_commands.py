@@ -179,9 +179,9 @@ def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Call
 def ensemble(
     tmp_path: Path, neural: Callable[..., NNSS], plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> Path:
-    """Two members that disagree, beside the records of a run."""
+    """Three members that disagree, beside the records of a run."""
     members = []
-    for seed in range(2):
+    for seed in range(3):
         member = neural(seed=seed)
         with torch.no_grad():
             for name, value in asdict(plant_data().fitting.scaling).items():
@@ -204,13 +204,17 @@ def test_a_band_may_follow_an_ensemble(new: Path, nnss: Callable, ensemble: Path
         width = table["y1_high"] - table["y1_low"]
         assert width.max() > 1.5 * width.min()
         np.testing.assert_allclose((table["y1_high"] + table["y1_low"]) / 2, table["y1"], atol=1e-9)
+        if command == "simulate":
+            record = pd.read_csv(new)
+            y = load(ensemble).simulate(record[["u1"]], record["y1"].iloc[:1]).y
+            np.testing.assert_allclose(table["y1"], y[:, 0], atol=1e-12)  # not the mean, around which they spread
 
 
 def test_each_member_of_an_ensemble_has_its_own_gain(new: Path, nnss: Callable, ensemble: Path) -> None:
     done = nnss("validate", ensemble, new, "--json")
     assert done.code == 1  # of random weights
     found = json.loads(done.out)
-    assert len(found["gains"]) == len(found["observer_rates"]) == 2
+    assert len(found["gains"]) == len(found["observer_rates"]) == 3
     assert found["steps"]["predicted"][0][0] < found["steps"]["simulated"][0]
 
 

@@ -27,7 +27,7 @@ def name_of(folder: Path, root: Path) -> str:
 
 
 def members(name: str, model: Any) -> Iterator[tuple[str, Any]]:
-    """A model, or the members of an ensemble, each with a name: what holds for each holds for the mean of outputs."""
+    """A model, or the members of an ensemble, each with a name: what holds for the states of each holds."""
     own = getattr(model, "members", None)
     if own is None:
         yield name, model
