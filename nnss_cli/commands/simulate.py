@@ -36,14 +36,15 @@ def command(
 ) -> None:
     """Simulate the inputs of a file freely, and compare with its outputs where they are complete.
 
-    The first outputs tell the initial state, as many as the model's init window has; the rest may be empty.
+    The first outputs tell the initial state, as many as the model's init window has; the rest may be empty. Inputs and
+    simulated outputs that leave the range of the training record are told.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.files import require_writable, write_text
     from nnss_cli.trained import load, read_record
-    from nnss_cli.trained.simulate import simulate_file, simulated_table
+    from nnss_cli.trained.simulate import beyond_training, simulate_file, simulated_table
 
     figure_path = out.with_suffix(".png")
     for path in [out, *[figure_path] * plot]:
@@ -67,6 +68,10 @@ def command(
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
         console.print(SIGMA_AND_FIT, highlight=False)
+    if beyond := beyond_training(trained, found):
+        from nnss_cli.report.simulation import beyond_rows
+
+        print_rows(beyond_rows(beyond), f"{file.name}: beyond the training record no data speak for the model", 1)
     if limits is not None:
         for line in limits.told(trained.channels):
             console.print(line, soft_wrap=True, highlight=False)

@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
+from nnss_cli.report.cells import whole
 from nnss_cli.report.dense import is_dense
 from nnss_cli.report.style import MEASURED, STYLE, style_of
 from nnss_cli.report.tables import number, percent
 from nnss_cli.report.timeplots import ENVELOPE, draw_line
+from nnss_cli.trained.simulate import Beyond
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:
@@ -27,6 +29,18 @@ def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, st
             "fit [%]": percent(score.fit_percent),
         }
         for score in scores
+    ]  # fmt: skip
+
+
+def beyond_rows(found: Sequence[Beyond]) -> list[dict[str, str]]:
+    """Signals that leave the range of the training records."""
+    return [
+        {
+            "signal": titled(one.channel, one.unit), "samples": whole(one.samples), "of": whole(one.of),
+            "from": number(one.found[0]), "to": number(one.found[1]), "trained from": number(one.trained[0]),
+            "trained to": number(one.trained[1]),
+        }
+        for one in found
     ]  # fmt: skip
 
 

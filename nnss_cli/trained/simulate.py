@@ -16,6 +16,8 @@ from nnss_cli.trained.records import read_start
 STARTS = ("outputs", "rest")
 LARGEST = 1e150
 """Of outputs that can be compared: of larger ones the squares, summed over a record, are no numbers."""
+MARGIN = 0.01
+"""Of the range of a training signal, by which another one may leave it and still count as within."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,47 @@ class Simulated:
     def seconds(self, Ts: float) -> FloatArray:
         """The instants (K,) [s], from 0."""
         return np.arange(len(self.y)) * Ts
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """A signal that leaves the range that it had in training, where no data speak for the model."""
+
+    channel: str
+    """Its name."""
+    unit: str
+    """Its unit."""
+    samples: int
+    """How many of them lie beyond."""
+    of: int
+    """Of so many."""
+    found: tuple[float, float]
+    """The least and the greatest."""
+    trained: tuple[float, float]
+    """Those of the training records."""
+
+
+def beyond_training(model: TrainedModel, found: Simulated) -> tuple[Beyond, ...]:
+    """The inputs and simulated outputs that leave the range of the training records, as kept with the model's run.
+
+    Errors there may be any (docs/recipes.md). That signals stay within promises nothing either: states may leave what
+    training knew, and so may frequencies.
+    """
+    train = model.records().get("train", ())
+    if not train:
+        return ()
+    c, told = model.channels, []
+    names, units = (*c.inputs, *c.outputs), (*c.input_units, *c.output_units)
+    signals = np.concatenate([found.u, found.y], axis=1).T
+    known = np.concatenate([np.concatenate([record.u, record.y], axis=1) for record in train]).T
+    for name, unit, signal, before in zip(names, units, signals, known, strict=True):
+        low, high = float(before.min()), float(before.max())
+        margin = MARGIN * (high - low)
+        lost = int(np.sum((signal < low - margin) | (signal > high + margin)))
+        if lost:
+            span = float(signal.min()), float(signal.max())
+            told.append(Beyond(name, unit, lost, len(signal), span, (low, high)))
+    return tuple(told)
 
 
 def simulate_file(

@@ -14,7 +14,7 @@ from nnss_cli.methods import compiled
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
-from nnss_cli.trained.simulate import require_finite
+from nnss_cli.trained.simulate import MARGIN, Simulated, beyond_training, require_finite
 
 
 @pytest.fixture
@@ -83,6 +83,44 @@ def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_fo
     y = pd.read_csv("predicted.csv")["y1"]
     np.testing.assert_allclose(y, load(trained_folder()).equilibrium(0.7).y[0], rtol=1e-9)
     assert "RMSE" not in done.out
+
+
+def test_what_leaves_the_range_of_training_is_told(
+    new: Path, nnss: Callable, trained_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    model = load(trained_folder())
+    (known,) = model.records()["train"]
+    bounds = [(float(signal.min()), float(signal.max())) for signal in (known.u, known.y)]
+    margins = [MARGIN * (high - low) for low, high in bounds]
+
+    def told(u: np.ndarray, y: np.ndarray) -> tuple:
+        return beyond_training(model, Simulated(u[:, None], y[:, None], np.zeros((len(u), 2)), None, ()))
+
+    (u_low, u_high), (y_low, y_high) = bounds
+    within = np.array([u_low - 0.9 * margins[0], u_high + 0.9 * margins[0]])
+    assert told(within, np.array([y_low, y_high])) == ()
+    (one,) = told(np.array([u_low - 1.1 * margins[0], u_high]), np.array([y_low, y_high]))
+    assert (one.channel, one.samples, one.of, one.trained) == ("u1", 1, 2, bounds[0])
+    assert one.found == (u_low - 1.1 * margins[0], u_high)
+    (one,) = told(np.array([u_low, u_low, u_high]), y_high + np.array([2, 2, 0]) * margins[1])
+    assert (one.channel, one.samples, one.of, one.trained) == ("y1", 2, 3, bounds[1])
+
+    for size, expected in ((5.0, True), (0.2, False)):
+        table = pd.read_csv(new)
+        u = table["u1"] = size * table["u1"]
+        table.to_csv(file := tmp_path / f"{size}.csv", index=False)
+        done = nnss("simulate", trained_folder(), file, "--force", "--json")
+        assert done.code == 0, done.err
+        tables = [event for event in map(json.loads, done.out.splitlines()) if event["event"] == "table"]
+        found = [row for table in tables for row in table["rows"] if "trained from" in row]
+        assert bool(found) == expected
+        if expected:
+            assert found[0]["signal"].startswith("u1")
+            assert found[0]["of"] == len(table)
+            beyond = (u < u_low - margins[0]) | (u > u_high + margins[0])
+            assert found[0]["samples"] == int(beyond.sum())
+    model.model.save(tmp_path / "bare")  # without the records of a run nothing can be said
+    assert nnss("simulate", tmp_path / "bare", tmp_path / "5.0.csv", "--force").out.count("beyond") == 0
 
 
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
