@@ -19,7 +19,7 @@ from nnss_cli.datasets.catalog.simulated import NOISE, draw
 from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Record, Scaling
 from tabulate import tabulate
 
-from nnss_cli.methods import METHODS
+from nnss_cli.methods import METHODS, Model
 from nnss_cli.methods.ensemble import better_half
 from nnss_cli.model.ensemble import Ensemble
 
@@ -92,11 +92,11 @@ def fitting(train: Record, val: Record, init_window: int) -> FittingData:
     return FittingData("drawn", "own", (train,), (val,), Scaling.of((train,)), channels, init_window)
 
 
-def error(model: object, tests: list[Record], data: FittingData) -> float:
+def error(model: Model, tests: list[Record], data: FittingData) -> float:
     """RMSE over the test records after the init window, /σ of the training outputs."""
     w = data.init_window
     begin = w if w > 1 else 0
-    off = [(model.simulate(test.u, test.y[:w]).y - test.y)[begin:] for test in tests]  # type: ignore[attr-defined]
+    off = [(model.simulate(test.u, test.y[:w]).y - test.y)[begin:] for test in tests]
     return float(np.sqrt(np.mean(np.square(np.concatenate(off)))) / data.scaling.y_std[0])
 
 
@@ -105,6 +105,8 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=6)
     parser.add_argument("--seeds", type=int, default=10)
     given = parser.parse_args()
+    if given.seeds < 5:
+        parser.error("--seeds: expected 5 or more, of whose better half three are left")
     method, rows, ratios = METHODS["nnss"], [], []
     for name, (drawn, order) in PLANTS.items():
         found = []
@@ -114,11 +116,14 @@ def main() -> None:
             method.prepare(settings)
             fits = [method.fit(data, order, seed, settings, None) for seed in range(given.seeds)]
             models = [fit.model for fit in fits if fit.model]
+            if len(models) < given.seeds:
+                print(f"{name} {number}: {given.seeds - len(models)} of {given.seeds} seeds gave no model", flush=True)
+                continue
             members = better_half(models, data)
             errors = [
                 float(np.median([error(model, tests, data) for model in models])),
                 error(members[0], tests, data),
-                *(error(Ensemble(members, rule), tests, data) for rule in ("mean", "middle")),
+                *(error(Ensemble(members, rule), tests, data) for rule in ("mean", "clipped")),
             ]
             found.append(errors)
             rows.append([f"{name} {number}", *(f"{each:.3f}" for each in errors)])
@@ -127,7 +132,7 @@ def main() -> None:
         spans = zip(np.exp(np.log(relative).mean(axis=0)), relative.max(axis=0), strict=True)
         ratios.append([name, *(f"{mean:.2f} ({worst:.2f})" for mean, worst in spans)])
     print(f"\nRMSE/σ, {given.seeds} seeds")
-    heads = ["median seed", "best on validation", "mean", "middle"]
+    heads = ["median seed", "best on validation", "mean", "clipped"]
     print(tabulate(rows, headers=["record", *heads], tablefmt="pipe", disable_numparse=True))
     print("\nOver the median seed's: geometric mean over records (the worst)")
     print(tabulate(ratios, headers=["plant", *heads[1:]], tablefmt="pipe", disable_numparse=True))

@@ -13,6 +13,8 @@ from nnss_cli.elementary import Expression, Program, columns, rows, trace
 
 Array: TypeAlias = NDArray[Any]
 
+FAR = 5.0
+"""Median deviations from their median, to which the outputs of an ensemble's members are clipped."""
 STEP_SIZE = 1e-30
 """Of complex-step derivatives: too small to leave any rounding, far above underflow."""
 
@@ -126,13 +128,13 @@ class Parts:
     """Number of samples W that `initial` takes; the same for all of an ensemble."""
 
 
-def system_of(members: Sequence[Parts], scaling: Any, trimmed: int = 0) -> System:
+def system_of(members: Sequence[Parts], scaling: Any, clipped: bool = False) -> System:
     """The system of one model, or of several whose outputs are averaged.
 
     Args:
         members: at least one, all of the same signals.
         scaling: of `nnss_cli.datasets.record.Scaling`, the same for all.
-        trimmed: how many of the lowest, and of the highest, are left out of the mean at each sample, of each output.
+        clipped: whether outputs far from the others are moved nearer first (`nnss_cli.model.ensemble`).
     """
     u_mean, u_std, y_mean, y_std = (
         np.asarray(part, dtype=np.float64)[:, None]
@@ -160,14 +162,18 @@ def system_of(members: Sequence[Parts], scaling: Any, trimmed: int = 0) -> Syste
         """What each member has (m, ·) times the share (m, 1) that it has in each output."""
         if len(values) == 1:
             return [values[0]]
-        return [value * (share @ np.ones((1, value.shape[1]))) for value, share in zip(values, shares, strict=True)]
+        wide = [
+            share if (r := value.shape[1]) == 1 else share @ np.ones((1, r))
+            for value, share in zip(values, shares, strict=True)
+        ]
+        return [value * share for value, share in zip(values, wide, strict=True)]
 
     def step(z: Expression, u: Expression) -> dict[str, Expression]:
         u = (u - u_mean) / u_std
         moved = [member.advance(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
         y = [own * y_std + y_mean for _, own in moved]
         kept = [own for own, member in zip(y, members, strict=True) if member.keeps_output]
-        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": _total(shared(y, _shares(y, trimmed)))}
+        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": _total(shared(y, _shares(y, clipped)))}
 
     def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
         y, u = (y0 - _down(y_mean, W)) / _down(y_std, W), (u0 - _down(u_mean, W)) / _down(u_std, W)
@@ -178,7 +184,7 @@ def system_of(members: Sequence[Parts], scaling: Any, trimmed: int = 0) -> Syste
         begun = split(z)
         found = [member.frozen(x, u, y) for member, (x, y) in zip(members, begun, strict=True)]
         y_now = [member.advance(x, u, y)[1] for member, (x, y) in zip(members, begun, strict=True)]
-        shares = _shares(y_now, trimmed)
+        shares = _shares(y_now, clipped)
         A = [
             columns(*(own if i == j else z.constant(np.zeros((own.shape[0], members[j].n))) for j in range(len(found))))
             for i, (own, *_) in enumerate(found)
@@ -207,19 +213,38 @@ def _total(values: Sequence[Expression]) -> Expression:
     return total
 
 
-def _shares(values: Sequence[Expression], trimmed: int) -> list[Expression]:
-    """The share of each value (m, 1) in their mean without the `trimmed` lowest and highest of each row."""
-    kept = 1.0 / (len(values) - 2 * trimmed)
-    same = values[0].constant(np.full(values[0].shape, kept))
-    if trimmed == 0:
-        return [same] * len(values)
+def _shares(values: Sequence[Expression], clipped: bool) -> list[Expression]:
+    """The weights w (m, 1) of some values y (m, 1) in their mean or clipped mean, which is Σ wᵢ yᵢ.
+
+    With p the weights of the median, r those of the median deviation, σ the deviations' signs and q = 1 where one is
+    clipped, Σ wᵢ yᵢ = Σ pᵢ yᵢ + (1/k) Σⱼ [(1 − qⱼ) (yⱼ − ỹ) + qⱼ σⱼ 5 s], ỹ = Σ pᵢ yᵢ, s = Σ rᵢ σᵢ (yᵢ − ỹ).
+    """
+    k = float(len(values))
+    if not clipped or k < 3:
+        return [values[0].constant(np.full(values[0].shape, 1 / k))] * len(values)
+    p = _median_shares(values)
+    centre = _total([value * share for value, share in zip(values, p, strict=True)])
+    off = [value - centre for value in values]
+    signs = [each.less(0.0) * -2.0 + 1.0 for each in off]
+    sizes = [each * sign for each, sign in zip(off, signs, strict=True)]
+    r = [share * sign for share, sign in zip(_median_shares(sizes), signs, strict=True)]
+    limit = _total([each * share for each, share in zip(off, r, strict=True)]) * FAR
+    beyond = [limit.less(size) for size in sizes]
+    within = [each * -1.0 + 1.0 for each in beyond]
+    pulled = _total([each * sign for each, sign in zip(beyond, signs, strict=True)]) * FAR
+    left = _total(within) + pulled * _total(r)
+    return [p[i] + (within[i] - p[i] * left + pulled * r[i]) / k for i in range(len(values))]
+
+
+def _median_shares(values: Sequence[Expression]) -> list[Expression]:
+    """The weights (m, 1) of some values (m, 1) in their median: one of them, or two half, count."""
     ranks = [value.constant(np.zeros(value.shape)) for value in values]
     for j in range(len(values)):
         for i in range(j):  # of equal ones the first counts as the lower
             smaller = values[j].less(values[i])
             ranks[i], ranks[j] = ranks[i] + smaller, ranks[j] - smaller + 1.0
-    first, last = trimmed - 0.5, len(values) - trimmed - 0.5
-    return [(rank.less(last) - rank.less(first)) * kept for rank in ranks]
+    first, last = (len(values) - 1) // 2, len(values) // 2
+    return [(rank.less(last + 0.5) - rank.less(first - 0.5)) / (last - first + 1.0) for rank in ranks]
 
 
 def _down(column: Array, times: int) -> Array:

@@ -37,7 +37,7 @@ def command(
     """Simulate the inputs of a file freely, and compare with its outputs where they are complete.
 
     The first outputs tell the initial state, as many as the model's init window has; the rest may be empty. Inputs and
-    simulated outputs that leave the range of the training record are told.
+    simulated outputs that leave the range of the training records by more than a hundredth of it are told.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
@@ -58,6 +58,11 @@ def command(
 
         given = None if data is None else read_record(trained, data, sheet=sheet)
         limits = simulation_limits(trained, found, interval, interval_by, given)
+    unknown = ""
+    try:
+        beyond = beyond_training(trained, found)
+    except InputError as error:
+        beyond, unknown = (), f"Note: whether signals leave the range of the training records is not known: {error}"
     require_writable(out.parent)
     write_text(out, simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
@@ -68,10 +73,12 @@ def command(
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
         console.print(SIGMA_AND_FIT, highlight=False)
-    if beyond := beyond_training(trained, found):
+    if unknown:
+        console.print(unknown, soft_wrap=True, highlight=False)
+    if beyond:
         from nnss_cli.report.simulation import beyond_rows
 
-        print_rows(beyond_rows(beyond), f"{file.name}: beyond the training record no data speak for the model", 1)
+        print_rows(beyond_rows(beyond), f"{file.name}: beyond the training records no data speak for the model", 1)
     if limits is not None:
         for line in limits.told(trained.channels):
             console.print(line, soft_wrap=True, highlight=False)

@@ -16,9 +16,9 @@ from nnss_cli.modelfile import Tensors
 
 
 def _read(description: dict[str, Any], tensors: Tensors) -> Model:
-    from nnss_cli.model.ensemble import Ensemble as Mean
+    from nnss_cli.model.ensemble import Ensemble as Combined
 
-    return Mean.from_file(description, tensors)
+    return Combined.from_file(description, tensors)
 
 
 def better_half(candidates: Sequence[Any], data: FittingData) -> tuple[Any, ...]:
@@ -40,7 +40,7 @@ def better_half(candidates: Sequence[Any], data: FittingData) -> tuple[Any, ...]
 
 
 class Ensemble(Method):
-    """The seeds of NN-SS that validate better as one model: the mean of the middle ones of their simulated outputs."""
+    """The seeds of NN-SS that validate better as one model: the clipped mean of their simulated outputs."""
 
     name = "nnss-ensemble"
     seeded = False
@@ -65,9 +65,9 @@ class Ensemble(Method):
 
     def combine(self, members: Sequence[Any], data: FittingData) -> Fit:
         """Choose among models of several seeds, on validation."""
-        from nnss_cli.model.ensemble import Ensemble as Mean
+        from nnss_cli.model.ensemble import Ensemble as Combined
 
-        return Fit(Mean(better_half(members, data)))
+        return Fit(Combined(better_half(members, data)))
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train one member and take it alone; `combine` is for those that are trained already."""

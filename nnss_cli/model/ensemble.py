@@ -1,7 +1,12 @@
-"""Several NN-SS models as one: the mean of their outputs at each sample, without the lowest and the highest ones.
+"""Several NN-SS models as one: the mean of their outputs, of which those far from the others are moved nearer first.
 
-A quarter of the members is left out at each end, one at least; two or fewer are all kept. A member that goes astray on
-an input unlike those it was trained on does not take the mean along, as long as most of the others do not.
+    ŷ = ỹ + mean of clip(ŷᵢ − ỹ, ±5 s),   ỹ = median of the ŷᵢ,   s = median of |ŷᵢ − ỹ|
+
+at each sample, for each output. Where the members agree it is their mean. Fewer than half of them that go astray, as
+some do under inputs unlike those of their training, move it by no more than a few times what the others differ by.
+Where any of them leaves the finite range, so does the ensemble.
+
+Source: P. Huber, "Robust Statistics", 1981, 6.7 (a one-step estimate with the median deviation as scale).
 """
 
 from __future__ import annotations
@@ -16,19 +21,19 @@ from nnss_cli.datasets.record import Channels, FloatArray, Scaling, Simulation
 from nnss_cli.errors import unknown
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors, write_model
-from nnss_cli.system import System, system_of
+from nnss_cli.system import FAR, System, system_of
 
-Rule: TypeAlias = Literal["middle", "mean"]
+Rule: TypeAlias = Literal["clipped", "mean"]
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """ŷ = the mean of the middle ones of the members' ŷ. The states shown are those of the first member."""
+    """ŷ = the clipped mean of the members' ŷ. The states shown are those of the first member."""
 
     members: tuple[NNSS, ...]
     """At least one, the best by validation first."""
-    rule: Rule = "middle"
-    """Which outputs are averaged: the middle ones, or those of all members (mean), as nnss did before it trimmed."""
+    rule: Rule = "clipped"
+    """Whether outputs are clipped before the mean is taken; mean for not, as nnss did before."""
 
     @property
     def channels(self) -> Channels:
@@ -45,16 +50,16 @@ class Ensemble:
         """Between physical and normalised units; all members have the same."""
         return self.members[0].scaling
 
-    @property
-    def trimmed(self) -> int:
-        """How many of the lowest outputs are left out at a sample, and of the highest."""
-        k = len(self.members)
-        return 0 if self.rule == "mean" or k < 3 else max(1, k // 4)
-
     def together(self, each: FloatArray) -> FloatArray:
         """The output of all from that of each member (members, …)."""
-        kept = slice(self.trimmed, len(each) - self.trimmed)
-        return np.asarray(np.mean(np.sort(each, axis=0)[kept] if self.trimmed else each, axis=0))
+        if self.rule == "mean" or len(each) < 3:
+            return np.asarray(np.mean(each, axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            centre = np.median(each, axis=0)
+            off = each - centre
+            limit = FAR * np.median(np.abs(off), axis=0)
+            found = centre + np.mean(np.clip(off, -limit, limit), axis=0)
+        return np.where(np.isfinite(each).all(axis=0), found, np.nan)
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """Free simulation of inputs (K, r) from the first output samples (w, m), physical units."""
@@ -63,7 +68,7 @@ class Ensemble:
 
     def elementary(self) -> System:
         """All members in elementary operations and physical units, float64; z holds the states of all of them."""
-        return system_of([member.elementary_parts() for member in self.members], self.scaling, self.trimmed)
+        return system_of([member.elementary_parts() for member in self.members], self.scaling, self.rule == "clipped")
 
     def save(self, folder: Path) -> None:
         """Write model.json and model.safetensors into `folder`; tensors are named <member>/<name>."""

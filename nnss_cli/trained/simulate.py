@@ -18,6 +18,8 @@ LARGEST = 1e150
 """Of outputs that can be compared: of larger ones the squares, summed over a record, are no numbers."""
 MARGIN = 0.01
 """Of the range of a training signal, by which another one may leave it and still count as within."""
+ROUNDING = 1e-9
+"""Of the size of a training signal, likewise: it may have been constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ def beyond_training(model: TrainedModel, found: Simulated) -> tuple[Beyond, ...]
     known = np.concatenate([np.concatenate([record.u, record.y], axis=1) for record in train]).T
     for name, unit, signal, before in zip(names, units, signals, known, strict=True):
         low, high = float(before.min()), float(before.max())
-        margin = MARGIN * (high - low)
+        margin = max(MARGIN * (high - low), ROUNDING * max(abs(low), abs(high)))
         lost = int(np.sum((signal < low - margin) | (signal > high + margin)))
         if lost:
             span = float(signal.min()), float(signal.max())

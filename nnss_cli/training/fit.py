@@ -430,7 +430,7 @@ def _begin(
         try:
             if make(model, start, train, val, named_random(seed, initial), init_window, in_time):
                 return initial, remarks
-            remarks += (f"{initial} start refused: {why}",)
+            remarks += (f"{initial} start refused: {why if in_time() else 'the budget was over'}",)
         except FAILURES as error:
             remarks += (f"{failed(f'{initial} start', error)}: started from the linear model",)
             draw()  # what failed may have changed some weights

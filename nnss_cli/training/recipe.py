@@ -84,8 +84,8 @@ class Recipe:
     engine: str = "fast"
     """fast (compiled) or reference (plain torch)."""
     budget: float = 0.0
-    """Seconds after which no further candidate, iteration of a start or epoch begins; 0 for no bound. Results then
-    depend on the machine."""
+    """Seconds after which no further candidate or epoch begins, and a feedback or cascade start ends with its step.
+    0 for no bound. Results then depend on the machine."""
 
     judge: str = "validation"
     """What candidates are compared on: validation, or blocks of training and validation, each held out once."""

@@ -26,7 +26,7 @@ from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """A model with a gain; of an ensemble, each member has its own, and theirs together is predicted."""
+    """A model with a gain; of an ensemble, each member has its own, and its rule puts what they predict together."""
 
     model: Model
     """What runs between the corrections."""

@@ -1,4 +1,4 @@
-"""An ensemble: the mean of the middle ones of its members, chosen on validation, the same from disk."""
+"""An ensemble: the clipped mean of its members, chosen on validation, the same from disk."""
 
 import json
 from pathlib import Path
@@ -24,33 +24,71 @@ def members() -> list[NNSS]:
     return [method.fit(data, 2, seed, method.settings(data, 2, SMALL), None).model for seed in range(3)]  # type: ignore[misc]
 
 
-def test_of_two_it_is_the_mean_of_three_the_middle_one_at_each_sample(members: list[NNSS]) -> None:
+def test_of_two_and_where_all_agree_it_is_the_mean(members: list[NNSS]) -> None:
     record = load("twotank-sim").tests["test"][0]
     each = np.stack([member.simulate(record.u, record.y[0]).y for member in members])
-    for rule, count, expected in (
-        ("middle", 2, each[:2].mean(axis=0)), ("middle", 3, np.median(each, axis=0)), ("mean", 3, each.mean(axis=0)),
-    ):  # fmt: skip
+    for rule, count in (("clipped", 2), ("mean", 3), ("mean", 2), ("clipped", 1)):
         model = Ensemble(tuple(members[:count]), rule)
-        np.testing.assert_allclose(model.simulate(record.u, record.y[0]).y, expected, rtol=1e-12)
+        np.testing.assert_allclose(model.simulate(record.u, record.y[0]).y, each[:count].mean(axis=0), rtol=1e-12)
+    clipped = Ensemble(tuple(members))
+    found = clipped.simulate(record.u, record.y[0]).y
+    np.testing.assert_array_equal(found, clipped.together(each))
+    far = np.abs(each - np.median(each, axis=0)).max(axis=0) > 5 * np.median(
+        np.abs(each - np.median(each, axis=0)), axis=0
+    )
+    assert far.any()
+    assert not far.all()
+    np.testing.assert_allclose(found[~far], each.mean(axis=0)[~far], rtol=1e-12)
+    assert (found[far] != each.mean(axis=0)[far]).all()
 
 
 @pytest.mark.parametrize(
-    ("count", "trimmed"), [(1, 0), (2, 0), (3, 1), (4, 1), (5, 1), (7, 1), (8, 2), (11, 2), (12, 3), (15, 3)]
+    ("each", "expected"),
+    [
+        ([0.0, 1.0, 2.0, 3.0, 4.0], 2.0),
+        ([0.0, 1.0, 2.0, 3.0, 6.0], 2.4),  # within five deviations of the median, here of 1
+        ([0.0, 1.0, 2.0, 3.0, 1e9], (0 + 1 + 2 + 3 + 7) / 5),
+        ([-1e9, 1.0, 2.0, 3.0, 4.0], (-3 + 1 + 2 + 3 + 4) / 5),
+        ([0.0, 0.1, 10.0], (0 + 0.1 + 0.6) / 3),
+        ([1.0, 1.0, 1.0, 9.0], 1.0),
+        ([0.0, 1.0, 2.0, 100.0], (0 + 1 + 2 + 1.5 + 5 * 1.0) / 4),
+    ],
 )
-def test_a_quarter_is_left_out_at_each_end_and_one_at_least(count: int, trimmed: int, members: list[NNSS]) -> None:
-    ensemble = Ensemble(tuple(members[:1] * count))
-    assert ensemble.trimmed == trimmed
-    assert Ensemble(ensemble.members, "mean").trimmed == 0
-    each = np.random.default_rng(count).standard_normal((count, 6, 2))
-    expected = np.sort(each, axis=0)[trimmed : count - trimmed].mean(axis=0)
-    np.testing.assert_allclose(ensemble.together(each), expected, rtol=1e-13)
-    np.testing.assert_allclose(ensemble.together(each[::-1]), expected, rtol=1e-13)
-    if trimmed:
-        astray = each.copy()
-        astray[0] = 1e6  # as many as are left out take it nowhere: it stays among the others
-        others = ensemble.together(astray)
-        assert (each[1:].min(axis=0) <= others).all()
-        assert (others <= each[1:].max(axis=0)).all()
+def test_what_is_far_from_the_others_is_moved_to_five_median_deviations(
+    each: list[float], expected: float, members: list[NNSS]
+) -> None:
+    ensemble, values = Ensemble(tuple(members[:1] * len(each))), np.array(each)
+    assert ensemble.together(values) == pytest.approx(expected, rel=1e-12)
+    assert ensemble.together(values[::-1]) == pytest.approx(expected, rel=1e-12)
+    columns = np.stack([values, -2 * values + 3], axis=1)  # each output by itself, in any unit
+    np.testing.assert_allclose(ensemble.together(columns), [expected, -2 * expected + 3], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 5, 8])
+def test_fewer_than_half_cannot_take_it_far_and_it_lies_between_its_members(count: int, members: list[NNSS]) -> None:
+    """So its energy is no more than that of all members together: √k γ bounds a gain that γ bounds for each of k."""
+    ensemble, random = Ensemble(tuple(members[:1] * count)), np.random.default_rng(count)
+    for _ in range(200):
+        each = random.standard_normal((count, 4))
+        found = ensemble.together(each)
+        assert (each.min(axis=0) <= found + 1e-12).all()
+        assert (found - 1e-12 <= each.max(axis=0)).all()
+        astray = (count - 1) // 2
+        others = each[astray:]
+        each[:astray] = 10.0 ** random.uniform(2, 12)
+        reach = np.ptp(others, axis=0)
+        assert (ensemble.together(each) <= others.max(axis=0) + 5 * reach).all()
+
+
+def test_a_member_that_leaves_the_finite_range_takes_the_ensemble_along(members: list[NNSS]) -> None:
+    """As in its exports, where a share of 0 of what is infinite is no number, and as a predictor demands."""
+    for rule in ("clipped", "mean"):
+        for lost in (np.nan, np.inf, -np.inf):
+            each = np.arange(10.0).reshape(5, 2)
+            each[3, 1] = lost
+            found = Ensemble(tuple(members[:1] * 5), rule).together(each)
+            assert np.isfinite(found[0])
+            assert not np.isfinite(found[1])
 
 
 def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> None:
@@ -67,7 +105,7 @@ def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> 
 
 def test_saved_and_loaded_it_is_the_same(members: list[NNSS], tmp_path: Path) -> None:
     record = load("twotank-sim").tests["test"][0]
-    for rule in ("middle", "mean"):
+    for rule in ("clipped", "mean"):
         ensemble = Ensemble(tuple(members), rule)
         ensemble.save(tmp_path / rule)
         read = load_model(tmp_path / rule)

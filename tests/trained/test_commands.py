@@ -1,13 +1,16 @@
 """`nnss simulate` and `nnss show`: what they write, what they say, and what they refuse in one line."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from nnss_cli.datasets.record import Simulation
+from nnss_cli.datasets.record import Channels, Record, Simulation
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods import compiled
@@ -119,8 +122,30 @@ def test_what_leaves_the_range_of_training_is_told(
             assert found[0]["of"] == len(table)
             beyond = (u < u_low - margins[0]) | (u > u_high + margins[0])
             assert found[0]["samples"] == int(beyond.sum())
+    shutil.copytree(trained_folder(), tmp_path / "damaged")
+    (tmp_path / "damaged" / "signals.safetensors").write_bytes(b"no signals")
+    done = nnss("simulate", tmp_path / "damaged", tmp_path / "5.0.csv", "--force")
+    assert done.code == 0  # a simulation needs no records
+    assert "whether signals leave the range of the training records is not known: " in done.out
     model.model.save(tmp_path / "bare")  # without the records of a run nothing can be said
     assert nnss("simulate", tmp_path / "bare", tmp_path / "5.0.csv", "--force").out.count("beyond") == 0
+
+
+def test_all_training_records_and_every_signal_count_for_the_range() -> None:
+    records = tuple(
+        Record(np.column_stack([u, np.full(3, 0.1 + 0.2)]), np.array(y)[:, None], 1.0)
+        for u, y in (([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), ([5.0, 6.0, 7.0], [-3.0, 0.0, 1.0]))
+    )
+    channels = Channels(("a", "b"), ("y",), ("V", ""), ("m",))
+    model: Any = SimpleNamespace(records=lambda: {"train": records, "test": ()}, channels=channels)
+
+    def told(u: list[list[float]], y: list[float]) -> list[tuple[str, str, int]]:
+        found = Simulated(np.array(u), np.array(y)[:, None], np.zeros((len(u), 1)), None, ())
+        return [(one.channel, one.unit, one.samples) for one in beyond_training(model, found)]
+
+    assert told([[7.0, 0.3], [0.0, 0.3]], [-3.0, 2.0]) == []  # 0.1 + 0.2 is 0.3 but for rounding
+    assert told([[8.0, 0.3], [0.0, 0.3]], [-4.0, 2.0]) == [("a", "V", 1), ("y", "m", 1)]
+    assert told([[7.0, 0.31], [0.0, 0.29]], [0.0, 0.0]) == [("b", "", 2)]
 
 
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:

@@ -61,10 +61,19 @@ def test_parity_of_linear_models_and_ensembles(
         for other in others:
             for name in ("u_mean", "u_std", "y_mean", "y_std"):
                 getattr(other, name).copy_(getattr(first, name))
-        for rule in ("middle", "mean"):
+        for rule in ("clipped", "mean"):
             ensemble = TrainedModel(Ensemble((first, *others), rule))
             assert largest_error(ensemble) < 1e-13
             assert ensemble.system.n == 8
+
+
+def test_less_is_strict_and_has_no_slope() -> None:
+    program = trace(lambda a, b: {"one": a.less(b), "other": b.less(0.5)}, a=(3, 1), b=(3, 1))
+    a, b = np.array([[1.0], [2.0], [3.0]]), np.array([[1.0], [2.5], [0.2]])
+    found = program(a=a + 1e-30j, b=b - 1e-30j)
+    np.testing.assert_array_equal(found["one"][:, 0], [0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(found["other"][:, 0], [0.0, 0.0, 1.0])
+    assert not np.iscomplexobj(found["one"])
 
 
 @pytest.mark.parametrize("count", [2, 4, 5, 8])

@@ -102,6 +102,19 @@ def test_friction_is_found(records: tuple[Record, Record]) -> None:
     assert simulation_rms(ssest((train,), (val,), 2), (val,)) > 0.1
 
 
+def test_when_the_time_is_up_it_ends_with_the_step_it_is_at(records: tuple[Record, Record]) -> None:
+    train, val = records
+    linear, asked = linear_start((train,), (val,), 2, 1.0), []
+
+    def in_time() -> bool:
+        asked.append(True)
+        return len(asked) <= 3
+
+    assert fit_feedback(linear, (train,), (val,), 1.0, 1e-5, 2.0, in_time=lambda: False) is None
+    assert fit_feedback(linear, (train,), (val,), 1.0, 1e-5, 2.0, in_time=in_time) is not None
+    assert len(asked) == 4
+
+
 @pytest.mark.parametrize("stability", NETWORKS)
 @pytest.mark.parametrize("scheduling", SCHEDULING)
 def test_the_network_simulates_like_the_model_it_was_regressed_on(
