@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from nnss_cli.methods.compiled import free_run
 from nnss_cli.methods.nnss import NNSS
 from nnss_cli.methods.protocol import Fit, Method, Model, Settings
 from nnss_cli.modelfile import Tensors
+
+if TYPE_CHECKING:
+    from nnss_cli.model.ensemble import Rule
 
 
 def _read(description: dict[str, Any], tensors: Tensors) -> Model:
@@ -40,16 +43,17 @@ def better_half(candidates: Sequence[Any], data: FittingData) -> tuple[Any, ...]
 
 
 class Ensemble(Method):
-    """The seeds of NN-SS that validate better as one model: the clipped mean of their simulated outputs."""
+    """The seeds of NN-SS that validate better as one model: the mean, or clipped mean, of their simulated outputs."""
 
-    name = "nnss-ensemble"
     seeded = False
-    version = "2"
-    position = 20
     members = "nnss"
     models = {"ensemble": _read}  # noqa: RUF012 - never changed
     one = NNSS("nnss", 10)
     """What trains a member."""
+
+    def __init__(self, name: str, position: int, rule: Rule) -> None:
+        """`rule`: how a model of its members puts their outputs together."""
+        self.name, self.position, self.rule = name, position, rule
 
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Those of the members."""
@@ -67,7 +71,7 @@ class Ensemble(Method):
         """Choose among models of several seeds, on validation."""
         from nnss_cli.model.ensemble import Ensemble as Combined
 
-        return Fit(Combined(better_half(members, data)))
+        return Fit(Combined(better_half(members, data), self.rule))
 
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train one member and take it alone; `combine` is for those that are trained already."""
@@ -75,4 +79,4 @@ class Ensemble(Method):
         return self.combine([trained.model], data) if trained.model else trained
 
 
-METHODS = (Ensemble(),)
+METHODS = (Ensemble("nnss-ensemble", 20, "mean"), Ensemble("nnss-clipped", 25, "clipped"))

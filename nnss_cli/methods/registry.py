@@ -78,8 +78,10 @@ _BUILT_IN = _discovered()
 _READERS: dict[str, ModelReader] = {kind: reader for method in _BUILT_IN for kind, reader in method.models.items()}
 METHODS: Registry[Method] = Registry("method", "nnss.methods", ("METHOD", "METHODS"), _BUILT_IN, sound_method)
 """Every method by name, in the order of tables: those of nnss, of plug-in files, of installed packages."""
-DEFAULT = tuple(method.name for method in _BUILT_IN if method.name != "nnss-paper")
-"""What `compare` takes unless told: the paper's recipe is an option of nnss, and a method for use beside it."""
+ASKED_FOR = ("nnss-paper", "nnss-clipped")
+"""Variants of nnss and of its ensemble, for use beside them."""
+DEFAULT = tuple(method.name for method in _BUILT_IN if method.name not in ASKED_FOR)
+"""What `compare` takes unless told."""
 
 
 def select(names: Sequence[str]) -> list[Method]:

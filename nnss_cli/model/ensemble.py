@@ -1,10 +1,10 @@
-"""Several NN-SS models as one: the mean of their outputs, of which those far from the others are moved nearer first.
+"""Several NN-SS models as one: the mean of their outputs, or one of which those far from the others are clipped first.
 
-    ŷ = ỹ + mean of clip(ŷᵢ − ỹ, ±5 s),   ỹ = median of the ŷᵢ,   s = median of |ŷᵢ − ỹ|
+    clipped: ŷ = ỹ + mean of clip(ŷᵢ − ỹ, ±5 s),   ỹ = median of the ŷᵢ,   s = median of |ŷᵢ − ỹ|
 
-at each sample, for each output. Where the members agree it is their mean. Fewer than half of them that go astray, as
+at each sample, for each output. Where the members agree that is their mean. Fewer than half of them that go astray, as
 some do under inputs unlike those of their training, move it by no more than a few times what the others differ by.
-Where any of them leaves the finite range, so does the ensemble.
+Where any of them leaves the finite range, so does the ensemble. Of one or two members both rules are the mean.
 
 Source: P. Huber, "Robust Statistics", 1981, 6.7 (a one-step estimate with the median deviation as scale).
 """
@@ -28,12 +28,12 @@ Rule: TypeAlias = Literal["clipped", "mean"]
 
 @dataclass(frozen=True)
 class Ensemble:
-    """ŷ = the clipped mean of the members' ŷ. The states shown are those of the first member."""
+    """ŷ = the mean of the members' ŷ, by a rule. The states shown are those of the first member."""
 
     members: tuple[NNSS, ...]
     """At least one, the best by validation first."""
-    rule: Rule = "clipped"
-    """Whether outputs are clipped before the mean is taken; mean for not, as nnss did before."""
+    rule: Rule = "mean"
+    """Whether outputs are clipped before the mean is taken."""
 
     @property
     def channels(self) -> Channels:
@@ -79,7 +79,7 @@ class Ensemble:
 
     @classmethod
     def from_file(cls, description: dict[str, Any], tensors: Tensors) -> Ensemble:
-        """The inverse of `save`; without a rule the file is of an nnss that knew the mean alone."""
+        """The inverse of `save`; without a rule the file is of an older nnss, which knew the mean alone."""
         rule = description.get("rule", "mean")
         if rule not in get_args(Rule):
             raise unknown("rule of an ensemble", str(rule), get_args(Rule))

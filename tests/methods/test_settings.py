@@ -80,7 +80,9 @@ def test_the_automatic_engine_is_the_recipes() -> None:
 
 
 def test_the_order_of_the_methods_is_that_of_the_tables() -> None:
-    assert list(METHODS)[:7] == ["nnss", "nnss-ensemble", "nnss-paper", "simba", "n4sid", "ssest", "ssregest"]
+    assert list(METHODS)[:8] == [
+        "nnss", "nnss-ensemble", "nnss-clipped", "nnss-paper", "simba", "n4sid", "ssest", "ssregest",
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling, Sim
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS, load_model
 from nnss_cli.methods.ensemble import better_half
+from nnss_cli.methods.registry import DEFAULT
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 
@@ -30,7 +31,7 @@ def test_of_two_and_where_all_agree_it_is_the_mean(members: list[NNSS]) -> None:
     for rule, count in (("clipped", 2), ("mean", 3), ("mean", 2), ("clipped", 1)):
         model = Ensemble(tuple(members[:count]), rule)
         np.testing.assert_allclose(model.simulate(record.u, record.y[0]).y, each[:count].mean(axis=0), rtol=1e-12)
-    clipped = Ensemble(tuple(members))
+    clipped = Ensemble(tuple(members), "clipped")
     found = clipped.simulate(record.u, record.y[0]).y
     np.testing.assert_array_equal(found, clipped.together(each))
     far = np.abs(each - np.median(each, axis=0)).max(axis=0) > 5 * np.median(
@@ -57,7 +58,7 @@ def test_of_two_and_where_all_agree_it_is_the_mean(members: list[NNSS]) -> None:
 def test_what_is_far_from_the_others_is_moved_to_five_median_deviations(
     each: list[float], expected: float, members: list[NNSS]
 ) -> None:
-    ensemble, values = Ensemble(tuple(members[:1] * len(each))), np.array(each)
+    ensemble, values = Ensemble(tuple(members[:1] * len(each)), "clipped"), np.array(each)
     assert ensemble.together(values) == pytest.approx(expected, rel=1e-12)
     assert ensemble.together(values[::-1]) == pytest.approx(expected, rel=1e-12)
     columns = np.stack([values, -2 * values + 3], axis=1)  # each output by itself, in any unit
@@ -67,7 +68,7 @@ def test_what_is_far_from_the_others_is_moved_to_five_median_deviations(
 @pytest.mark.parametrize("count", [3, 5, 8])
 def test_fewer_than_half_cannot_take_it_far_and_it_lies_between_its_members(count: int, members: list[NNSS]) -> None:
     """So its energy is no more than that of all members together: √k γ bounds a gain that γ bounds for each of k."""
-    ensemble, random = Ensemble(tuple(members[:1] * count)), np.random.default_rng(count)
+    ensemble, random = Ensemble(tuple(members[:1] * count), "clipped"), np.random.default_rng(count)
     for _ in range(200):
         each = random.standard_normal((count, 4))
         found = ensemble.together(each)
@@ -101,6 +102,14 @@ def test_its_members_are_the_half_that_validates_better(members: list[NNSS]) -> 
     assert len(chosen) == 2
     assert list(chosen) == sorted(members, key=error)[:2]
     assert len(better_half(members[:1], data)) == 1
+
+
+def test_the_clipped_one_is_asked_for_by_name(members: list[NNSS]) -> None:
+    data = load("twotank-sim").fitting
+    rules = {name: METHODS[name].combine(members, data).model.rule for name in ("nnss-ensemble", "nnss-clipped")}  # type: ignore[union-attr]
+    assert rules == {"nnss-ensemble": "mean", "nnss-clipped": "clipped"}
+    assert "nnss-ensemble" in DEFAULT
+    assert "nnss-clipped" not in DEFAULT
 
 
 def test_saved_and_loaded_it_is_the_same(members: list[NNSS], tmp_path: Path) -> None:

@@ -132,11 +132,11 @@ def test_a_runs_scores_are_of_the_same_simulation(
     monkeypatch.setattr(compiled, "LONG", 20)
     _, signals = simulate_splits(candidates[0].model, dataset)
     ensemble = METHODS["nnss-ensemble"].combine([each.model for each in candidates], dataset.fitting).model
-    _, of_three = simulate_splits(Ensemble(tuple(each.model for each in candidates)), dataset)
+    _, of_three = simulate_splits(Ensemble(tuple(each.model for each in candidates), "clipped"), dataset)
     simulate_splits(ensemble, dataset)
     assert set(longest) == {1}
     each = [one.simulate(record.u, record.y[:1]).y for one in candidates]
-    expected = Ensemble(tuple(one.model for one in candidates)).together(np.stack(each))
+    expected = Ensemble(tuple(one.model for one in candidates), "clipped").together(np.stack(each))
     np.testing.assert_array_equal(of_three["test/0/y_sim"], expected)
     assert (expected != np.mean(each, axis=0)).any()
     np.testing.assert_array_equal(

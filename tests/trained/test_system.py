@@ -84,7 +84,7 @@ def test_an_ensembles_frozen_matrices_and_jacobians_are_those_of_the_members_tha
     for other in members[1:]:
         for name in ("u_mean", "u_std", "y_mean", "y_std"):
             getattr(other, name).copy_(getattr(members[0], name))
-    model = TrainedModel(Ensemble(tuple(members)))
+    model = TrainedModel(Ensemble(tuple(members), "clipped"))
     random = np.random.default_rng(0)
     for _ in range(20):
         z, u = random.standard_normal(2 * count), random.standard_normal(2)

@@ -190,7 +190,7 @@ def ensemble(
         members.append(member)
     folder = tmp_path / "ensemble"
     folder.mkdir()
-    Ensemble(tuple(members)).save(folder)
+    Ensemble(tuple(members), "clipped").save(folder)
     shutil.copy(plant_run() / "signals.safetensors", folder)
     return folder
 

@@ -43,7 +43,7 @@ def model(request: pytest.FixtureRequest, linear: LinearModel, neural: Callable[
     if request.param == "linear":
         return linear
     if request.param == "ensemble":
-        return Ensemble((neural("x"), neural("x+y", seed=0, n=3), neural("x+u", seed=4)))
+        return Ensemble((neural("x"), neural("x+y", seed=0, n=3), neural("x+u", seed=4)), "clipped")
     if request.param == "two outputs":
         return neural("x+y", n=3, r=2, m=2)
     return neural("x", dtype="float32") if request.param == "float32" else neural(request.param)
@@ -150,7 +150,7 @@ def of_kind(kind: str, neural: Callable[..., NNSS]) -> NNSS | Ensemble:
     if kind == "integrator":
         return integrating("x+u")
     if kind == "ensemble":
-        return Ensemble((neural("x"), neural("x+y", n=3), neural("x", seed=4)))
+        return Ensemble((neural("x"), neural("x+y", n=3), neural("x", seed=4)), "clipped")
     return neural("x", dtype="float32") if kind == "float32" else neural(kind, n=3, r=2, m=2)
 
 
