@@ -42,9 +42,9 @@ def test_flags_and_assignments_are_gathered_by_name() -> None:
         ({}, ["nnss.=1"], ("nnss",), "--set: expected METHOD.OPTION=VALUE, such as nnss.OPTION=VALUE, found 'nnss.=1'"),
         ({}, ["nnsss.epochs=1"], ("nnss",),
          "--set nnsss.epochs: unknown method 'nnsss': did you mean 'nnss'? choose from nnss, nnss-ensemble, "
-         "nnss-paper, simba, n4sid, ssest, ssregest"),
+         "nnss-clipped, nnss-paper, simba, n4sid, ssest, ssregest"),
         ({}, ["zzz.epochs=1"], ("nnss",), "--set zzz.epochs: unknown method 'zzz': choose from nnss, nnss-ensemble, "
-         "nnss-paper, simba, n4sid, ssest, ssregest"),
+         "nnss-clipped, nnss-paper, simba, n4sid, ssest, ssregest"),
         ({}, ["nnss-ensemble.epochs=1"], ("nnss-ensemble",),
          "--set nnss-ensemble.epochs: nnss-ensemble combines runs of nnss: --set nnss.epochs=1"),
         ({}, ["n4sid.horizn=1"], ("n4sid",),
