@@ -134,7 +134,8 @@ def system_of(members: Sequence[Parts], scaling: Any, clipped: bool = False) -> 
     Args:
         members: at least one, all of the same signals.
         scaling: of `nnss_cli.datasets.record.Scaling`, the same for all.
-        clipped: whether outputs far from the others are moved nearer first (`nnss_cli.model.ensemble`).
+        clipped: whether outputs far from the others are moved nearer first (`nnss_cli.model.ensemble`); of three
+            members or more.
     """
     u_mean, u_std, y_mean, y_std = (
         np.asarray(part, dtype=np.float64)[:, None]
@@ -158,22 +159,26 @@ def system_of(members: Sequence[Parts], scaling: Any, clipped: bool = False) -> 
             found.append((x, y))
         return found
 
-    def shared(values: Sequence[Expression], shares: Sequence[Expression]) -> list[Expression]:
+    equal: list[Expression | Array] = [np.full((m, 1), 1 / len(members))] * len(members)
+
+    def shared(values: Sequence[Expression], shares: Sequence[Expression | Array]) -> list[Expression]:
         """What each member has (m, ·) times the share (m, 1) that it has in each output."""
         if len(values) == 1:
             return [values[0]]
-        wide = [
-            share if (r := value.shape[1]) == 1 else share @ np.ones((1, r))
+        return [
+            value * (share if value.shape[1] == 1 else share @ np.ones((1, value.shape[1])))
             for value, share in zip(values, shares, strict=True)
         ]
-        return [value * share for value, share in zip(values, wide, strict=True)]
 
     def step(z: Expression, u: Expression) -> dict[str, Expression]:
         u = (u - u_mean) / u_std
         moved = [member.advance(x, u, y) for member, (x, y) in zip(members, split(z), strict=True)]
         y = [own * y_std + y_mean for _, own in moved]
         kept = [own for own, member in zip(y, members, strict=True) if member.keeps_output]
-        return {"z_next": rows(*(x for x, _ in moved), *kept), "y": _total(shared(y, _shares(y, clipped)))}
+        return {
+            "z_next": rows(*(x for x, _ in moved), *kept),
+            "y": _total(shared(y, _clipped_shares(y) if clipped else equal)),
+        }
 
     def initial(y0: Expression, u0: Expression) -> dict[str, Expression]:
         y, u = (y0 - _down(y_mean, W)) / _down(y_std, W), (u0 - _down(u_mean, W)) / _down(u_std, W)
@@ -183,8 +188,9 @@ def system_of(members: Sequence[Parts], scaling: Any, clipped: bool = False) -> 
         u = (u - u_mean) / u_std
         begun = split(z)
         found = [member.frozen(x, u, y) for member, (x, y) in zip(members, begun, strict=True)]
-        y_now = [member.advance(x, u, y)[1] for member, (x, y) in zip(members, begun, strict=True)]
-        shares = _shares(y_now, clipped)
+        shares = equal
+        if clipped:
+            shares = _clipped_shares([one.advance(x, u, y)[1] for one, (x, y) in zip(members, begun, strict=True)])
         A = [
             columns(*(own if i == j else z.constant(np.zeros((own.shape[0], members[j].n))) for j in range(len(found))))
             for i, (own, *_) in enumerate(found)
@@ -213,27 +219,28 @@ def _total(values: Sequence[Expression]) -> Expression:
     return total
 
 
-def _shares(values: Sequence[Expression], clipped: bool) -> list[Expression]:
-    """The weights w (m, 1) of some values y (m, 1) in their mean or clipped mean, which is Σ wᵢ yᵢ.
+def _products(some: Sequence[Expression], others: Sequence[Expression]) -> list[Expression]:
+    return [one * other for one, other in zip(some, others, strict=True)]
+
+
+def _clipped_shares(values: Sequence[Expression]) -> list[Expression | Array]:
+    """The weights w (m, 1) of some values y (m, 1) in their clipped mean, which is Σ wᵢ yᵢ.
 
     With p the weights of the median, r those of the median deviation, σ the deviations' signs and q = 1 where one is
     clipped, Σ wᵢ yᵢ = Σ pᵢ yᵢ + (1/k) Σⱼ [(1 − qⱼ) (yⱼ − ỹ) + qⱼ σⱼ 5 s], ỹ = Σ pᵢ yᵢ, s = Σ rᵢ σᵢ (yᵢ − ỹ).
     """
-    k = float(len(values))
-    if not clipped or k < 3:
-        return [values[0].constant(np.full(values[0].shape, 1 / k))] * len(values)
     p = _median_shares(values)
-    centre = _total([value * share for value, share in zip(values, p, strict=True)])
+    centre = _total(_products(values, p))
     off = [value - centre for value in values]
     signs = [each.less(0.0) * -2.0 + 1.0 for each in off]
-    sizes = [each * sign for each, sign in zip(off, signs, strict=True)]
-    r = [share * sign for share, sign in zip(_median_shares(sizes), signs, strict=True)]
-    limit = _total([each * share for each, share in zip(off, r, strict=True)]) * FAR
+    sizes = _products(off, signs)
+    r = _products(_median_shares(sizes), signs)
+    limit = _total(_products(off, r)) * FAR
     beyond = [limit.less(size) for size in sizes]
     within = [each * -1.0 + 1.0 for each in beyond]
-    pulled = _total([each * sign for each, sign in zip(beyond, signs, strict=True)]) * FAR
+    pulled = _total(_products(beyond, signs)) * FAR
     left = _total(within) + pulled * _total(r)
-    return [p[i] + (within[i] - p[i] * left + pulled * r[i]) / k for i in range(len(values))]
+    return [p[i] + (within[i] - p[i] * left + pulled * r[i]) / float(len(values)) for i in range(len(values))]
 
 
 def _median_shares(values: Sequence[Expression]) -> list[Expression]:

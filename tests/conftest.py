@@ -6,7 +6,7 @@ prepare()  # as the command line does: results must not depend on the number of 
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,22 @@ def mirror() -> Path:
     if REAL_FILES is None:
         pytest.skip("the real data files are not here: set NNSS_TEST_MIRROR to a folder that has them")
     return REAL_FILES
+
+
+@pytest.fixture
+def ensemble_of() -> Callable[..., Any]:
+    """An ensemble of NN-SS models, which get the scaling of the first."""
+    from nnss_cli.model.ensemble import Ensemble
+    from nnss_cli.trained import TrainedModel
+
+    def made(members: Iterable[Any], rule: Any = "clipped") -> TrainedModel:
+        first, *others = members
+        for other in others:
+            for name in asdict(first.scaling):
+                getattr(other, name).copy_(getattr(first, name))
+        return TrainedModel(Ensemble((first, *others), rule))
+
+    return made
 
 
 @pytest.fixture

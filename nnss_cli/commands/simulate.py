@@ -58,11 +58,6 @@ def command(
 
         given = None if data is None else read_record(trained, data, sheet=sheet)
         limits = simulation_limits(trained, found, interval, interval_by, given)
-    unknown = ""
-    try:
-        beyond = beyond_training(trained, found)
-    except InputError as error:
-        beyond, unknown = (), f"Note: whether signals leave the range of the training records is not known: {error}"
     require_writable(out.parent)
     write_text(out, simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
@@ -73,7 +68,10 @@ def command(
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
         console.print(SIGMA_AND_FIT, highlight=False)
-    if unknown:
+    try:
+        beyond = beyond_training(trained, found)
+    except InputError as error:  # a simulation needs no records
+        beyond, unknown = (), f"Note: whether signals leave the range of the training records is not known: {error}"
         console.print(unknown, soft_wrap=True, highlight=False)
     if beyond:
         from nnss_cli.report.simulation import beyond_rows

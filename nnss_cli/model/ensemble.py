@@ -50,9 +50,14 @@ class Ensemble:
         """Between physical and normalised units; all members have the same."""
         return self.members[0].scaling
 
+    @property
+    def clips(self) -> bool:
+        """Whether outputs are clipped: of two or fewer none is far from the others."""
+        return self.rule == "clipped" and len(self.members) > 2
+
     def together(self, each: FloatArray) -> FloatArray:
         """The output of all from that of each member (members, …)."""
-        if self.rule == "mean" or len(each) < 3:
+        if not self.clips:
             return np.asarray(np.mean(each, axis=0))
         with np.errstate(over="ignore", invalid="ignore"):
             centre = np.median(each, axis=0)
@@ -68,7 +73,7 @@ class Ensemble:
 
     def elementary(self) -> System:
         """All members in elementary operations and physical units, float64; z holds the states of all of them."""
-        return system_of([member.elementary_parts() for member in self.members], self.scaling, self.rule == "clipped")
+        return system_of([member.elementary_parts() for member in self.members], self.scaling, self.clips)
 
     def save(self, folder: Path) -> None:
         """Write model.json and model.safetensors into `folder`; tensors are named <member>/<name>."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -17,7 +17,9 @@ from nnss_cli.report.dense import is_dense
 from nnss_cli.report.style import MEASURED, STYLE, style_of
 from nnss_cli.report.tables import number, percent
 from nnss_cli.report.timeplots import ENVELOPE, draw_line
-from nnss_cli.trained.simulate import Beyond
+
+if TYPE_CHECKING:
+    from nnss_cli.trained.simulate import Beyond
 
 
 def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, str]]:

@@ -262,6 +262,8 @@ def fit_cascade(
         gamma: what the poles of both parts are to stay within.
         in_time: whether there is time for another iteration.
     """
+    if not in_time():
+        return start
     problem = Problem(start, [record.u for record in train], [record.y for record in train], feedthrough)
     y, best = np.concatenate(problem.y), start
 
@@ -420,10 +422,7 @@ def cascade_start(
     for iterations, count in ROUNDS:
         tried = sorted(tried, key=lambda each: each.error)[:count]
         tried = [
-            fit_cascade(each, train, val, iterations, init_window, a.feedthrough, a.gamma, in_time)
-            if in_time()
-            else each
-            for each in tried
+            fit_cascade(each, train, val, iterations, init_window, a.feedthrough, a.gamma, in_time) for each in tried
         ]
     best = min(tried, key=lambda each: each.error, default=None)
     if best is None or not np.isfinite(best.error):

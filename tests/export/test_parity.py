@@ -98,20 +98,13 @@ def test_parity(kind: tuple, target: str, tried: Callable, tmp_path: Path) -> No
         assert found.samples == 40
 
 
-def ensemble_of(members: list[NNSS], rule: Any = "clipped") -> TrainedModel:
-    for other in members[1:]:
-        for name in ("u_mean", "u_std", "y_mean", "y_std"):
-            getattr(other, name).copy_(getattr(members[0], name))
-    return TrainedModel(Ensemble(tuple(members), rule))
-
-
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize(
     ("count", "size", "rule"),
     [(5, (2, 3), "clipped"), (3, (1, 1), "clipped"), (4, (1, 1), "clipped"), (3, (1, 1), "mean")],
 )
 def test_parity_of_an_ensemble_that_clips(
-    count: int, size: tuple[int, int], rule: str, target: str, tmp_path: Path
+    count: int, size: tuple[int, int], rule: str, target: str, tmp_path: Path, ensemble_of: Callable
 ) -> None:
     kinds = (("schur", "x"), ("incremental", "x+u"), ("schur", "x+y"), ("quadratic", "x"), ("schur", "x+u+y"))
     members = [untrained(*kind, 2 + number % 2, size, number).model for number, kind in enumerate(kinds[:count])]
@@ -121,7 +114,7 @@ def test_parity_of_an_ensemble_that_clips(
         assert found.simulation <= DOUBLE.get(found.what, 1e-5)
 
 
-def test_members_that_agree_but_for_rounding_are_exported_to_casadi(tmp_path: Path) -> None:
+def test_members_that_agree_but_for_rounding_are_exported_to_casadi(tmp_path: Path, ensemble_of: Callable) -> None:
     """Which of them counts at a sample is chance, and so is the slope: it is not compared there."""
     members = [untrained("schur", "x", 2, (1, 1), 0).model for _ in range(4)]
     for number, member in enumerate(members):

@@ -1,4 +1,4 @@
-"""An ensemble: the clipped mean of its members, chosen on validation, the same from disk."""
+"""An ensemble: the mean of its members, clipped or not, chosen on validation, the same from disk."""
 
 import json
 from pathlib import Path

@@ -14,7 +14,6 @@ from nnss_cli.datasets.record import Scaling
 from nnss_cli.elementary import OPERATIONS, cholesky, rows, solve, solve_lower, solve_upper, trace
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import COMBINATIONS, SCHEDULING, STABILITIES
-from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.system import Parts, system_of
 from nnss_cli.trained import TrainedModel, load
 from nnss_cli.trained.linear import _newton, equilibrium
@@ -49,7 +48,7 @@ def test_parity_with_simulate(stability: str, scheduling: str, untrained: Callab
 
 @pytest.mark.parametrize(("r", "m"), [(1, 1), (2, 3)])
 def test_parity_of_linear_models_and_ensembles(
-    r: int, m: int, trained_folder: Callable[..., Path], untrained: Callable[..., TrainedModel]
+    r: int, m: int, trained_folder: Callable[..., Path], untrained: Callable[..., TrainedModel], ensemble_of: Callable
 ) -> None:
     for method in ("n4sid", "ssest"):
         linear = load(trained_folder(method, 3, r, m))
@@ -58,11 +57,8 @@ def test_parity_of_linear_models_and_ensembles(
     for scheduling in ("x", "x+u+y"):
         first = untrained("schur", scheduling, 2, r, m).model
         others = [untrained("none", "x+y", 3, r, m, seed=seed).model for seed in (1, 2)]
-        for other in others:
-            for name in ("u_mean", "u_std", "y_mean", "y_std"):
-                getattr(other, name).copy_(getattr(first, name))
         for rule in ("clipped", "mean"):
-            ensemble = TrainedModel(Ensemble((first, *others), rule))
+            ensemble = ensemble_of((first, *others), rule)
             assert largest_error(ensemble) < 1e-13
             assert ensemble.system.n == 8
 
@@ -78,13 +74,10 @@ def test_less_is_strict_and_has_no_slope() -> None:
 
 @pytest.mark.parametrize("count", [2, 4, 5, 8])
 def test_an_ensembles_frozen_matrices_and_jacobians_are_those_of_the_members_that_count(
-    count: int, untrained: Callable[..., TrainedModel]
+    count: int, untrained: Callable[..., TrainedModel], ensemble_of: Callable
 ) -> None:
     members = [untrained("schur", "x", 2, 2, 3, seed=seed, feedthrough=True).model for seed in range(count)]
-    for other in members[1:]:
-        for name in ("u_mean", "u_std", "y_mean", "y_std"):
-            getattr(other, name).copy_(getattr(members[0], name))
-    model = TrainedModel(Ensemble(tuple(members), "clipped"))
+    model = ensemble_of(members)
     random = np.random.default_rng(0)
     for _ in range(20):
         z, u = random.standard_normal(2 * count), random.standard_normal(2)

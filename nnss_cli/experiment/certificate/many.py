@@ -29,7 +29,7 @@ def name_of(folder: Path, root: Path) -> str:
 def members(name: str, model: Any) -> Iterator[tuple[str, Any]]:
     """A model, or the members of an ensemble, each with a name: what holds for the states of each holds in it.
 
-    A bound on their gain does not carry over as it is (docs/stability.md).
+    Where their outputs are clipped, a bound on their gain does not carry over as it is (docs/stability.md).
     """
     own = getattr(model, "members", None)
     if own is None:
