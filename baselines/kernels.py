@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-EXACT: Any = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}  # keeps inf and nan
+EXACT: Any = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}  # keeps inf and nan
+part = njit(forceinline=True, **EXACT)  # why: see `nnss_cli.model.kernels`
+entry = njit(cache=True, **EXACT)
 NOTHING = 1e-250  # states below are zero: subnormal numbers, to which they decay, take twenty times as long
 
 
-@njit(**EXACT)
+@part
 def _not_subnormal(x: float) -> float:
     """x, or 0 where it is next to nothing."""
     return 0.0 if abs(x) < NOTHING else x
 
 
-@njit(**EXACT)
+@entry
 def recursion(A: Any, w: Any, x: Any) -> None:
     """x(k+1) = A x(k) + w(k) for k = 0 … K − 1, from the initial states that x begins with.
 
@@ -40,7 +42,7 @@ def recursion(A: Any, w: Any, x: Any) -> None:
                 x[run, k + 1, i] = _not_subnormal(total)
 
 
-@njit(**EXACT)
+@part
 def _advance(A: Any, B: Any, x: Any, u: Any, following: Any) -> None:
     """x(k+1) = A x + B u of one sample into `following`."""
     for i in range(len(A)):
@@ -52,7 +54,7 @@ def _advance(A: Any, B: Any, x: Any, u: Any, following: Any) -> None:
         following[i] = _not_subnormal(total)
 
 
-@njit(**EXACT)
+@entry
 def residuals(A: Any, B: Any, C: Any, D: Any, x0: Any, u: Any, y: Any, e: Any) -> None:
     """y − ŷ (K, m) of a free simulation into `e`, from inputs u (K, r) and the state x0 (n,)."""
     x, following = x0.copy(), np.empty_like(x0)
@@ -68,7 +70,7 @@ def residuals(A: Any, B: Any, C: Any, D: Any, x0: Any, u: Any, y: Any, e: Any) -
         x, following = following, x
 
 
-@njit(**EXACT)
+@entry
 def states_and_inputs(A: Any, B: Any, x: Any, u: Any, z: Any) -> None:
     """z(k) = [x(k); u(k)] (K, n + r), from inputs u (K, r) and x(0) in x (n,), which becomes x(K)."""
     n = len(A)
@@ -78,7 +80,7 @@ def states_and_inputs(A: Any, B: Any, x: Any, u: Any, z: Any) -> None:
         _advance(A, B, z[k, :n], u[k], x)
 
 
-@njit(**EXACT)
+@part
 def _add_product(M: Any, X: Any, out: Any) -> None:
     """out (q, P …) += M (q, n) X (n, P); four rows of X at a time, so that out is read and written less often."""
     n, P = X.shape
@@ -96,7 +98,7 @@ def _add_product(M: Any, X: Any, out: Any) -> None:
                 row[p] += a * at_a[p]
 
 
-@njit(**EXACT)
+@entry
 def sensitivities(A: Any, C: Any, S: Any, forced: Any, J: Any) -> None:
     """J(k) += C S(k) along P directions, S(k+1) = A S(k) + forced(k), for consecutive samples.
 

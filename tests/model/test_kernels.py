@@ -1,6 +1,10 @@
 """The compiled kernels against the torch model: the same numbers, and NaN stays NaN."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -13,6 +17,7 @@ from numba import njit
 from nnss_cli.model import kernels
 from nnss_cli.model.architecture import SCHEDULING, Architecture
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.training import feedback_kernels, lure_kernels, lure_matrices
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
 from nnss_cli.training.recipe import Recipe
@@ -28,7 +33,7 @@ def make(architecture: Architecture, saturation: float = 0.0, seed: int = 0) -> 
     with torch.no_grad():
         for parameter in model.parameters():  # biases too
             parameter.add_(torch.from_numpy(0.1 * random.standard_normal(tuple(parameter.shape))))
-        for layer in list(model.generator)[:-1:2]:
+        for layer in list(model.generator)[:-1:2] if saturation else ():
             layer.bias.add_(saturation * torch.from_numpy(random.choice([-1.0, 0.0, 1.0], len(layer.bias))))
     return model
 
@@ -184,3 +189,48 @@ def test_kernels_are_whole_in_one_file(module: ModuleType) -> None:
     for name, thing in vars(module).items():
         if hasattr(thing, "py_func"):
             assert thing.py_func.__module__ == module.__name__, name
+
+
+@pytest.mark.parametrize("module", [kernels, linear_kernels, feedback_kernels, lure_kernels, lure_matrices])
+def test_what_is_kept_of_a_kernel_is_all_of_it(module: ModuleType) -> None:
+    """A part that is no entry point is inlined: else last bits depend on who compiled it, as the slow test shows."""
+    found = [thing for thing in vars(module).values() if hasattr(thing, "targetoptions")]
+    assert found
+    for thing in found:
+        cached = thing.stats.cache_path is not None
+        assert cached != bool(thing.targetoptions.get("forceinline")) or thing is kernels._gemm, thing
+
+
+RUN = """
+import sys, hashlib
+import numpy as np
+from nnss_cli.model.architecture import Architecture
+from test_kernels import make, windows
+from nnss_cli.training.fast import FastEngine
+from nnss_cli.training.recipe import Recipe
+a = Architecture(3, 1, 1, (8,), (8,), stability=sys.argv[1], dtype=sys.argv[2])
+engine = FastEngine(make(a), *windows(a, 5, 90), Recipe(dtype=a.dtype))
+blocks = list(engine.sensitivities(np.zeros((5, 3)))) if a.dtype == "float64" else []
+for found in (*(block.by_weights for block in blocks), engine.free_run(np.ones((90, 1)), np.ones(1))):
+    print(hashlib.sha256(found.tobytes()).hexdigest())
+for epoch in (1, 2):
+    print(engine.train_batch(np.arange(5), epoch))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stability", "dtype"),
+    [("schur", "float64"), ("quadratic", "float64"), ("incremental", "float64"), ("schur", "float32")],
+)
+def test_a_result_does_not_depend_on_who_compiled_the_kernels(stability: str, dtype: str, tmp_path: Path) -> None:
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", RUN, stability, dtype],
+            cwd=Path(__file__).parent, env=os.environ | cache, check=True, capture_output=True, text=True,
+        ).stdout
+        for _ in range(2)
+    )  # fmt: skip
+    assert len(first.splitlines()) == (8 if dtype == "float64" else 3)
+    assert first == second
