@@ -18,7 +18,7 @@ L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -34,7 +34,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import feedback_kernels as kernels
 from nnss_cli.training.encoder import regress_encoder, set_encoder
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
-from nnss_cli.training.lure_start import promising_basis, start_layer
+from nnss_cli.training.lure_start import promising_bases, start_layer
 from nnss_cli.training.warm import LinearStart, encoder_layers, free_matrices, set_generator
 
 ITERATIONS = 80
@@ -116,8 +116,8 @@ class Feedback:
         inverse = np.linalg.inv(T)
         return Feedback(T @ self.A @ inverse, T @ self.B, self.C @ inverse, self.D, T @ self.F, self.G @ inverse)
 
-    def contracting_basis(self, gamma: float, epsilon: float) -> FloatArray | None:
-        """T (n, n) with ‖T A(x) T⁻¹‖₂ < γ (1 − 4ε) at every x, the smallest norm found; None where none is.
+    def contracting_bases(self, gamma: float, epsilon: float) -> Iterator[tuple[float, FloatArray]]:
+        """T (n, n) with ‖T A(x) T⁻¹‖₂ < γ (1 − 4ε) at every x, each after the largest such norm, over γ.
 
         A(x) lies within A + ½FG + ½F δ G, |δ| ≤ 1. P = TᵀT is the solution of the bounded real
         lemma's Riccati equation for these, over a range of margins λ.
@@ -125,7 +125,6 @@ class Feedback:
         n, m = self.F.shape
         A, F = (self.A + self.F @ self.G / 2) / gamma, self.F / gamma
         corners = [(self.A + (self.F * psi) @ self.G) / gamma for psi in itertools.product((0.0, 1.0), repeat=m)]
-        smallest, basis = 1 - 4 * epsilon, None
         spread = self.G.T @ self.G / 4
         for margin in np.geomspace(1e-5, 1, 26) * np.trace(spread) / m:
             T = bounded_real_basis(A, F, spread + margin * np.eye(n), -np.eye(m))
@@ -133,9 +132,8 @@ class Feedback:
                 continue
             inverse = np.linalg.inv(T)
             norm = max(float(np.linalg.norm(T @ corner @ inverse, 2)) for corner in corners)
-            if norm < smallest:
-                smallest, basis = norm, T
-        return basis
+            if norm < 1 - 4 * epsilon:
+                yield norm, T
 
 
 class Problem:
@@ -204,7 +202,7 @@ def fit_feedback(
     gain: float,
     init_window: int = 1,
     feedthrough: bool = False,
-    basis: Callable[[Feedback], FloatArray | None] | None = None,
+    bases: Callable[[Feedback], Iterator[tuple[float, FloatArray]]] | None = None,
     in_time: Callable[[], bool] = lambda: True,
 ) -> tuple[Feedback, FloatArray] | None:
     """Levenberg–Marquardt from SSEST's model; the iterate that validates best among those that share a P.
@@ -218,7 +216,7 @@ def fit_feedback(
         gain: g.
         init_window: first samples of a validation experiment that tell x(0); where several, they are not scored.
         feedthrough: whether D is estimated.
-        basis: the basis T (n, n) of an iterate, None for one that will not do; by default `contracting_basis`.
+        bases: norms and bases T (n, n) that will do for an iterate; by default `contracting_bases`.
         in_time: whether there is time for another iteration.
 
     Returns:
@@ -250,16 +248,16 @@ def fit_feedback(
     waited = 0
     best: tuple[Feedback, FloatArray] | None = None
 
+    def bases_of(model: Feedback) -> Iterator[tuple[float, FloatArray]]:
+        return model.contracting_bases(gamma, epsilon) if bases is None else bases(model)
+
     def accepted(point: FloatArray, _: float, x: FloatArray) -> bool:
         nonlocal lowest, best, waited
         model = problem.parts(point)[0]
         error = val_error(model, *regress_encoder(y, x))
         waited += 1
-        if error < lowest:
-            T = model.contracting_basis(gamma, epsilon) if basis is None else basis(model)
-            if T is not None:
-                T /= np.sqrt(np.mean((x @ T.T) ** 2))
-                lowest, best, waited = error, (model.transform(T), x @ T.T), 0
+        if error < lowest and any(True for _ in bases_of(model)):  # which one is best is asked of the last one alone
+            lowest, best, waited = error, (model, x), 0
         return waited < PATIENCE and in_time()
 
     def evaluate(point: FloatArray) -> tuple[NormalEquations, FloatArray]:
@@ -267,7 +265,12 @@ def fit_feedback(
         return NormalEquations.of(errors, J), x
 
     levenberg_marquardt(evaluate, problem.start, ITERATIONS, accepted)
-    return best
+    if best is None:
+        return None
+    model, x = best
+    _, T = min(bases_of(model), key=lambda each: each[0])
+    T = T / np.sqrt(np.mean((x @ T.T) ** 2))
+    return model.transform(T), x @ T.T
 
 
 def feedback_start(
@@ -302,12 +305,11 @@ def feedback_start(
     gain = middle * np.exp(spread * random.standard_normal())
     layered = a.stability == "incremental"
 
-    def basis(model: Feedback) -> FloatArray | None:
-        found = promising_basis(model.plain(), a)
-        return None if found is None else found[0]
+    def bases(model: Feedback) -> Iterator[tuple[float, FloatArray]]:
+        return ((norm, T) for norm, T, _ in promising_bases(model.plain(), a))
 
     found = fit_feedback(
-        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, basis if layered else None, in_time
+        linear, train, val, a.gamma, a.epsilon, gain, init_window, a.feedthrough, bases if layered else None, in_time
     )
     if found is None:
         return False

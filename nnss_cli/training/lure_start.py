@@ -12,7 +12,7 @@ Source: C. E. de Souza and L. Xie, "On the discrete-time bounded real lemma", Sy
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -115,7 +115,22 @@ def transformed(plain: PlainArrays, T: FloatArray) -> PlainArrays:
 
 
 def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, float] | None:
-    """T (n, n) and λ for which ‖K‖₂ < 1 in the states T x with Λ = λ/2, the smallest norm found; None where none is.
+    """T and λ of the smallest norm among `promising_bases`; None where there are none.
+
+    Without units and gain, where λ only scales P: a T in which A contracts, and 1.
+    """
+    if not len(plain.G) and not a.gain:
+        radius = float(np.abs(np.linalg.eigvals(plain.A)).max())
+        try:  # half of what the radius leaves is room for the units then, in all directions
+            return contracting_basis(plain.A, math.sqrt((radius**2 + a.gamma**2) / 2)), 1.0
+        except InputError:
+            return None
+    best = min(promising_bases(plain, a), key=lambda each: each[0], default=None)
+    return best and best[1:]
+
+
+def promising_bases(plain: PlainArrays, a: Architecture) -> Iterator[tuple[float, FloatArray, float]]:
+    """‖K‖₂ < 1 in the states T x with Λ = λ/2, with T (n, n) and λ: those found over a range of margins and of λ.
 
     Without a gain λ only scales P, and is 1.
 
@@ -124,14 +139,7 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, fl
         a: γ and Γ.
     """
     n, r, p = len(plain.A), plain.B.shape[1], len(plain.G)
-    if not p and not a.gain:
-        radius = float(np.abs(np.linalg.eigvals(plain.A)).max())
-        try:  # half of what the radius leaves is room for the units then, in all directions
-            return contracting_basis(plain.A, math.sqrt((radius**2 + a.gamma**2) / 2)), 1.0
-        except InputError:
-            return None
     A, F = (plain.A + plain.F @ plain.G / 2) / a.gamma, plain.F / a.gamma
-    smallest, found = 1.0, None
     for weight in WEIGHTS if a.gain and p else (1.0,):
         seen, fed, D = weight * plain.G / 2, F / weight, np.zeros((p, p))
         if a.gain:
@@ -143,9 +151,8 @@ def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, fl
             if T is None:
                 continue
             norm = float(np.linalg.norm(matrix(transformed(plain, T), np.full(p, 2.0 / weight), a), 2))
-            if norm < smallest:
-                smallest, found = norm, (T, float(weight))
-    return found
+            if norm < 1:
+                yield norm, T, float(weight)
 
 
 def matrix(plain: PlainArrays, scale: FloatArray, a: Architecture) -> FloatArray:

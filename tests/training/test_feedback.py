@@ -39,17 +39,16 @@ def plant(random: np.random.Generator, n: int, r: int, m: int, size: float) -> F
 def test_the_basis_contracts_at_every_state(n: int, m: int, gamma: float, seed: int) -> None:
     random = np.random.default_rng(seed)
     model = plant(random, n, 1, min(n, m), 0.2)
-    T = model.contracting_basis(gamma, 1e-5)
-    assert T is not None
+    norm, T = min(model.contracting_bases(gamma, 1e-5), key=lambda each: each[0])
     there = model.transform(T)
     for x in random.standard_normal((20, n)) * 10.0 ** random.uniform(-9, 2, (20, 1)):
-        assert np.linalg.norm(there.state_matrix(x), 2) < gamma
+        assert np.linalg.norm(there.state_matrix(x), 2) < min(gamma, norm * gamma * (1 + 1e-9))
 
 
 def test_there_is_no_basis_for_what_is_unstable() -> None:
     one = np.ones((1, 1))
-    assert Feedback(0.9 * one, one, one, one, -0.5 * one, one).contracting_basis(1.0, 1e-5) is not None
-    assert Feedback(0.9 * one, one, one, one, 0.2 * one, one).contracting_basis(1.0, 1e-5) is None
+    assert any(True for _ in Feedback(0.9 * one, one, one, one, -0.5 * one, one).contracting_bases(1.0, 1e-5))
+    assert not any(True for _ in Feedback(0.9 * one, one, one, one, 0.2 * one, one).contracting_bases(1.0, 1e-5))
 
 
 @pytest.mark.parametrize("feedthrough", [False, True])
@@ -100,6 +99,32 @@ def test_friction_is_found(records: tuple[Record, Record]) -> None:
     model, x = found
     assert np.sqrt(np.mean((x @ model.C.T - train.y) ** 2)) < 0.05
     assert simulation_rms(ssest((train,), (val,), 2), (val,)) > 0.1
+
+
+def test_an_iterate_without_a_basis_is_not_taken_and_of_several_bases_the_smallest_norm_is(
+    records: tuple[Record, Record],
+) -> None:
+    train, val = records
+    linear = linear_start((train,), (val,), 2, 1.0)
+    offered = [(0.9, np.diag([1.0, 2.0])), (0.5, np.diag([1.0, 3.0])), (0.7, np.diag([1.0, 4.0]))]
+
+    def fitted(bases: list[tuple[float, np.ndarray]]) -> tuple[Feedback, np.ndarray] | None:
+        return fit_feedback(linear, (train,), (val,), 1.0, 1e-5, 2.0, bases=lambda _: iter(bases))
+
+    assert fitted([]) is None
+    several, alone, other = fitted(offered), fitted(offered[1:2]), fitted(offered[:1])
+    assert several is not None
+    assert alone is not None
+    assert other is not None
+    np.testing.assert_array_equal(several[1], alone[1])
+    assert not np.array_equal(several[1], other[1])
+
+
+def test_a_basis_leaves_room_for_epsilon() -> None:
+    model = plant(np.random.default_rng(0), 3, 1, 1, 0.2)
+    norms = [norm for norm, _ in model.contracting_bases(1.0, 0.0)]
+    few = [norm for norm, _ in model.contracting_bases(1.0, (1 - np.median(norms)) / 4)]
+    assert few == [norm for norm in norms if norm < np.median(norms)] != norms
 
 
 def test_when_the_time_is_up_it_ends_with_the_step_it_is_at(records: tuple[Record, Record]) -> None:

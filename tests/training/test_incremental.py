@@ -1,7 +1,7 @@
 """Starts and training of the incrementally stable layer, and what commands make of it."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.fast import Weights
 from nnss_cli.training.feedback import Feedback, feedback_start, fit_feedback
 from nnss_cli.training.fit import train_nnss
-from nnss_cli.training.lure_start import linear_layer, promising_basis, start_layer
+from nnss_cli.training.lure_start import linear_layer, promising_bases, promising_basis, start_layer
 from nnss_cli.training.recipe import Recipe, recipe_of
 from nnss_cli.training.warm import linear_start
 
@@ -105,11 +105,10 @@ def test_a_feedback_start_simulates_like_the_lure_model(scheduling: str) -> None
     assert feedback_start(model, linear, train, val, np.random.default_rng(1))
     gain = 2.0 * np.exp(0.5 * np.random.default_rng(1).standard_normal())
 
-    def basis(each: Feedback) -> np.ndarray | None:
-        promising = promising_basis(each.plain(), a)
-        return None if promising is None else promising[0]
+    def bases(each: Feedback) -> Iterator[tuple[float, np.ndarray]]:
+        return ((norm, T) for norm, T, _ in promising_bases(each.plain(), a))
 
-    found = fit_feedback(linear, train, val, 1.0, a.epsilon, gain, basis=basis)
+    found = fit_feedback(linear, train, val, 1.0, a.epsilon, gain, bases=bases)
     assert found is not None
     y = Weights(model).free_run(val[0].u, val[0].y[0])[0]
     E = np.linalg.lstsq(np.column_stack([train[0].y, np.ones(400)]), found[1], rcond=None)[0]
