@@ -117,6 +117,7 @@ class _Line:
     K: FloatArray
     F: FloatArray  # (L, b, s, s)
     H: FloatArray  # (L, b, m, s)
+    z: FloatArray  # (L + 1, b, s)
     errors: FloatArray  # (L, b, m)
     weight: FloatArray  # (m, m), Λ^(−1/2)
 
@@ -245,7 +246,7 @@ def _linearise(system: Stepper, K: FloatArray, pieces: _Pieces) -> _Line | None:
     weight = inverse_root(errors[pieces.scored > 0])
     if weight is None:
         return None
-    return _Line(K, F.reshape(L, b, *F.shape[1:]), H.reshape(L, b, *H.shape[1:]), errors, weight)
+    return _Line(K, F.reshape(L, b, *F.shape[1:]), H.reshape(L, b, *H.shape[1:]), z, errors, weight)
 
 
 def _errors(line: _Line, K: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -282,14 +283,16 @@ def _squares(line: _Line, pieces: _Pieces, K: FloatArray) -> FloatArray:
 
 
 def _kalman(line: _Line, pieces: _Pieces, system: Stepper, q_d: float) -> tuple[float, FloatArray | None]:
-    """The best of a range of Kalman gains by the one-step errors on train, after their squares; None without any."""
+    """The best of a range of Kalman gains by the one-step errors on train, after their squares; None without any.
+
+    The line is that of the simulation, K = 0.
+    """
     F, H = line.F.mean(axis=(0, 1)), line.H.mean(axis=(0, 1))
-    z, _ = system.observe(np.zeros((len(pieces.start), *line.K.shape)), pieces.start, pieces.u, pieces.y)
     R = np.atleast_2d(np.cov(line.errors[pieces.scored > 0].T))
     R = R + 1e-9 * np.trace(R) * np.eye(len(R))
     own = system.size - system.outputs * (q_d > 0)
     found = []
-    for moved in (z, np.diff(z, axis=0)):
+    for moved in (line.z, np.diff(line.z, axis=0)):
         shape = np.atleast_2d(np.cov(moved[..., :own].reshape(-1, own).T))
         for q in RATIOS:
             Q = q * shape + 1e-12 * np.trace(shape) * np.eye(own)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.catalog import BENCHMARKS, load
 from nnss_cli.datasets.download import fetch
@@ -18,6 +19,7 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel
+from nnss_cli.validation import stepping
 from nnss_cli.validation.disturbance import Disturbance, Increments, constant
 from nnss_cli.validation.gain import ALONE, _candidates, _contraction, estimate_gain
 from nnss_cli.validation.predictor import Predictor, persistence, step_table
@@ -60,6 +62,19 @@ def test_without_gain_it_is_the_simulation(model: Model, window: int) -> None:
     tolerance = 1e-5 if getattr(model, "dtype", None) is not None and "32" in str(model.dtype) else 1e-12
     for horizon in (2, 7, 80):
         np.testing.assert_allclose(predictor.predict(u, y, horizon, window), simulated, rtol=tolerance, atol=tolerance)
+
+
+def test_along_a_hundred_samples_an_observer_steps_in_compiled_code(
+    model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    u, y = signals(model, K=100)
+    by_torch: list[int] = []
+    own = stepping.Neural.step
+    monkeypatch.setattr(stepping.Neural, "step", lambda *at: by_torch.append(1) or own(*at))
+    found = Predictor(model, gains(model, 0.0)).predict(u, y, 1)
+    tolerance = 1e-4 if getattr(model, "dtype", None) is torch.float32 else 1e-9
+    np.testing.assert_allclose(found, model.simulate(u, y[:1]).y, rtol=tolerance, atol=tolerance)
+    assert not by_torch
 
 
 def test_a_gain_is_no_simulation(model: Model) -> None:
@@ -176,6 +191,7 @@ def test_along_a_long_record_it_is_the_same_in_compiled_code(
 
     plain = found()
     monkeypatch.setattr(compiled, "LONG", 1)
+    monkeypatch.setattr(stepping, "LONG", 1)
     fast = found()
     assert any((one != other).any() for one, other in zip(fast, plain, strict=True)), "nothing was compiled"
     for one, other in zip(fast, plain, strict=True):
