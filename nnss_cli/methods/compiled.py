@@ -62,10 +62,10 @@ def free_run_from(model: Model, u: FloatArray, z0: FloatArray) -> Simulation | N
 
 
 def _run(model: NNSS, u: FloatArray, x0: FloatArray, y_before: FloatArray) -> Simulation:
-    from nnss_cli.training.fast import Weights
+    from nnss_cli.training.fast import ready_to_run
 
     scaling = model.scaling
-    y, x = Weights(model).free_runs(
+    y, x = ready_to_run(model).free_runs(
         scaling.normalise_u(u)[:, :, None], scaling.normalise_y(y_before)[:, None], x0[:, None]
     )
     return Simulation(scaling.restore_y(y[:, :, 0].astype(np.float64)), x[:, :, 0].astype(np.float64))

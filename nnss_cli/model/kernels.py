@@ -43,6 +43,7 @@ ROWS = 64  # rows in a weight-gradient product, at least: a tile's sums stay in 
 # Reordering and contraction are allowed; NaN and infinity are not assumed away, so that a
 # divergence still reaches the loss.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
+INLINE = {"forceinline": True}  # why: see `part`
 
 
 @intrinsic
@@ -65,7 +66,7 @@ def _exp(x: float) -> float:
     return math.exp(x)
 
 
-@overload(_exp, jit_options={"fastmath": FAST, "error_model": "numpy", "forceinline": True})
+@overload(_exp, jit_options={"fastmath": FAST, "error_model": "numpy", **INLINE})
 def _exp_compiled(x: Any) -> Any:
     # e^x = 2^k e^f with f = x − k ln 2 in two parts (Cody and Waite), e^f by its Taylor series:
     # |f| ≤ 0.35 leaves less than half a unit in the last place after 7 terms or 13.
@@ -118,7 +119,7 @@ OPTIONS: Any = {"nogil": True, "error_model": "numpy", "fastmath": FAST}
 # Results are not to depend on whether this process compiled an entry or read it from numba's cache. A part that is a
 # function of its own would be called as it was compiled by itself in the one case, and as it was optimised along with
 # the entry in the other, and last bits differ. So parts are inlined, and the entries alone are cached.
-part = njit(forceinline=True, **OPTIONS)
+part = njit(**OPTIONS, **INLINE)
 entry = njit(cache=True, **OPTIONS)
 
 
@@ -558,7 +559,7 @@ def _state_product_adjoint(*_: Any) -> None:
     """The adjoint of `_state_product`, for compiled code only."""
 
 
-@overload(_state_product, jit_options={"forceinline": True})
+@overload(_state_product, jit_options=INLINE)
 def _choose_product(kind: Any, *args: Any) -> Any:
     del args
     chosen = {types.int8: _schur, types.int16: _contraction, types.int32: _free}[kind]
@@ -569,7 +570,7 @@ def _choose_product(kind: Any, *args: Any) -> Any:
     return product
 
 
-@overload(_state_product_adjoint, jit_options={"forceinline": True})
+@overload(_state_product_adjoint, jit_options=INLINE)
 def _choose_adjoint(kind: Any, *args: Any) -> Any:
     del args
     chosen = {types.int8: _schur_adjoint, types.int16: _contraction_adjoint, types.int32: _free_adjoint}[kind]
@@ -738,7 +739,7 @@ TALL = 8  # rows of the large tiles
 _tile_8x2, _tile_8x1, _tile_1x8, _tile_1x4, _tile_1x1 = _tile(8, 2), _tile(8, 1), _tile(1, 8), _tile(1, 4), _tile(1, 1)
 
 
-@njit(**OPTIONS)  # its tiles may not be inlined, and spell out the order of each sum
+@njit(**OPTIONS)  # its tiles mark it `noinline`, and spell out the order of each sum
 def _gemm(
     A: Any, a_row: int, a_step: int, B: Any, b_step: int, start: Any, start_row: int, C: Any, c_row: int,
     rows: int, columns: int, depth: int,

@@ -133,7 +133,8 @@ class Weights:
         a, dtype = self.architecture, self.vector.dtype
         K, _, b = u.shape
         y, x = np.empty((K, a.outputs, b), dtype), np.empty((K, a.order, b), dtype)
-        u, y0, w, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0[a.order :], x0[: a.order]))
+        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond a float32 is infinite
+            u, y0, w, x0 = (np.array(signal, dtype, order="C") for signal in (u, y0, x0[a.order :], x0[: a.order]))
         if self.lure:
             self.lure.free_run(u, x0, y, x)
         else:
@@ -142,9 +143,19 @@ class Weights:
                 a.epsilon, x0, u, y0, y, x,
             )  # fmt: skip
         if a.integrator:
-            y, _ = integrated(self.step_size[:, None] * (y + self.vector[self.drift][:, None]), w)
+            with np.errstate(over="ignore", invalid="ignore"):
+                steps = self.step_size[:, None] * (y + self.vector[self.drift][:, None])
+            y, _ = integrated(steps, w)
             x = np.concatenate([x, y], axis=1)
         return y, x
+
+
+def ready_to_run(model: NNSS) -> Weights:
+    """The weights of a model whose `free_runs` are compiled, or read from numba's cache: one process does for all."""
+    weights, a = Weights(model), model.architecture
+    with compiling(kernels.free_run):
+        weights.free_runs(np.zeros((1, a.inputs, 1)), np.zeros((a.outputs, 1)), np.zeros((a.states, 1)))
+    return weights
 
 
 def _of_layer(name: str) -> bool:

@@ -135,7 +135,7 @@ def promising_bases(plain: PlainArrays, a: Architecture) -> Iterator[tuple[float
     Without a gain λ only scales P, and is 1.
 
     Args:
-        plain: its units see no u, and y none of them.
+        plain: its units see no u, and y none of them. At least one unit, unless there is a gain.
         a: γ and Γ.
     """
     n, r, p = len(plain.A), plain.B.shape[1], len(plain.G)

@@ -22,14 +22,15 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.model.ensemble import Ensemble
+from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.fast import Weights
+from nnss_cli.training.fast import Weights, ready_to_run
 from nnss_cli.validation.disturbance import Disturbance
 
 Step: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """z(k+1) (b, s) and y(k) (b, m) from z (b, s) and u (b, r)."""
 CHUNK = 4096  # points whose step is taken at a time
-LONG = 100  # samples along which it is taken in compiled code: to find a gain takes dozens of passes
+COMPILED_FROM = 100  # samples along which it is taken in compiled code: to find a gain takes dozens of passes
 
 
 class Stepper(Protocol):
@@ -112,7 +113,7 @@ def _stepper(model: Model) -> Stepper:
 
 
 class Neural:
-    """An NN-SS model by its own torch step; along a long record by the compiled one, which is equal up to rounding."""
+    """An NN-SS model by its own torch step; along `COMPILED_FROM` samples by the compiled one, equal up to rounding."""
 
     def __init__(self, model: NNSS) -> None:
         self.model, self.scaling = model, model.scaling
@@ -131,7 +132,7 @@ class Neural:
 
     @cached_property
     def _compiled(self) -> Weights:
-        return Weights(self.model)
+        return ready_to_run(self.model)
 
     def _compiled_step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As `step`, of a few points: two samples of a free run; the second tells the state after the first."""
@@ -143,7 +144,7 @@ class Neural:
 
     def step_along(self, samples: int) -> Step:
         """What steps along a record of so many samples."""
-        return self.step if samples < LONG else self._compiled_step
+        return self.step if samples < COMPILED_FROM else self._compiled_step
 
     def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
         """See `Stepper`."""
@@ -158,7 +159,10 @@ class Neural:
     @torch.no_grad()
     def step(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Stepper`."""
-        following, y = self._torch_step(self._tensor(z), self._tensor(u))
+        try:
+            following, y = self._torch_step(self._tensor(z), self._tensor(u))
+        except SINGULAR:  # where torch refuses a point, compiled code has numbers that are not finite
+            return self._compiled_step(z, u)
         return following.numpy().astype(np.float64), y.numpy().astype(np.float64)
 
     def jacobians(self, z: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:

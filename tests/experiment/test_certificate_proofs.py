@@ -505,7 +505,7 @@ def test_an_incremental_layer_gets_a_gain_for_every_input_that_was_not_asked_for
     with torch.no_grad():
         for parameter in model.generator.parameters():
             parameter.add_(torch.from_numpy(0.6 * np.random.default_rng(3).standard_normal(tuple(parameter.shape))))
-    found = certify(model, {"train": (noise(),)}, steps=0, budget=2)
+    found = certify(model, {"train": (noise(),)}, steps=0, budget=20)  # which ends before, however busy the machine
     assert found.broken == ()
     rest, differences = found.gain, found.incremental_gain
     for each, where in ((rest, "x(0) = 0, every input"), (differences, "one x(0) for both, every two inputs")):

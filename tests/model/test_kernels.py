@@ -1,6 +1,8 @@
 """The compiled kernels against the torch model: the same numbers, and NaN stays NaN."""
 
+import inspect
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -198,7 +200,9 @@ def test_what_is_kept_of_a_kernel_is_all_of_it(module: ModuleType) -> None:
     assert found
     for thing in found:
         cached = thing.stats.cache_path is not None
-        assert cached != bool(thing.targetoptions.get("forceinline")) or thing is kernels._gemm, thing
+        assert cached != bool(thing.targetoptions.get("forceinline") or thing is kernels._gemm), thing
+    source = inspect.getsource(module)
+    assert source.count("@overload(") == len(re.findall(r"@overload\(.*jit_options=.*INLINE", source))
 
 
 RUN = """

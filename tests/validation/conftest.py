@@ -37,12 +37,15 @@ def linear() -> LinearModel:
 def neural() -> Callable[..., NNSS]:
     """An NN-SS model of random weights."""
 
-    def made(scheduling: str = "x", n: int = 2, r: int = 1, m: int = 1, seed: int = 0, dtype: str = "float64") -> NNSS:
+    def made(
+        scheduling: str = "x", n: int = 2, r: int = 1, m: int = 1, seed: int = 0, **settings: str
+    ) -> NNSS:  # fmt: skip
         random = np.random.default_rng(seed)
         scaling = Scaling(
             random.normal(size=r), random.uniform(0.5, 2, r), random.normal(size=m), random.uniform(0.5, 2, m)
         )
-        a = Architecture(n, r, m, hidden=(6,), encoder=(4,), scheduling=scheduling, dtype=dtype, gamma=0.95)
+        settings = {"dtype": "float64"} | settings
+        a = Architecture(n, r, m, (6,), (4,), scheduling, gamma=0.95, **settings)
         model = NNSS(a, scaling, channels(r, m), 0.1)
         model.initialise(random)
         return model

@@ -68,13 +68,29 @@ def test_along_a_hundred_samples_an_observer_steps_in_compiled_code(
     model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     u, y = signals(model, K=100)
+    disturbed = [plain.disturbed(constant_of(plain)) for plain in steppers_of(model)]
+    starts = [each.start(each.model.simulate(u[:1], y[:1]).x[0], y[0], u[0]) for each in disturbed]
     by_torch: list[int] = []
     own = stepping.Neural.step
     monkeypatch.setattr(stepping.Neural, "step", lambda *at: by_torch.append(1) or own(*at))
     found = Predictor(model, gains(model, 0.0)).predict(u, y, 1)
     tolerance = 1e-4 if getattr(model, "dtype", None) is torch.float32 else 1e-9
     np.testing.assert_allclose(found, model.simulate(u, y[:1]).y, rtol=tolerance, atol=tolerance)
+    for each, z0 in zip(disturbed, starts, strict=True):
+        each.observe(np.zeros((1, each.size, each.outputs)), z0[None], u[:, None], y[:, None])
     assert not by_torch
+
+
+@pytest.mark.parametrize("K", [90, 120])
+@pytest.mark.parametrize("horizon", [1, 5])
+@pytest.mark.parametrize("kind", [{"dtype": "float32"}, {"stability": "quadratic"}])
+def test_a_prediction_beyond_all_numbers_is_named(
+    kind: dict, horizon: int, K: int, neural: Callable[..., NNSS], recwarn: pytest.WarningsRecorder
+) -> None:
+    model = neural("x", **kind)
+    with pytest.raises(InputError, match="the prediction"):
+        Predictor(model, gains(model, 1e8)).predict(*signals(model, K), horizon)
+    assert not recwarn.list
 
 
 def test_a_gain_is_no_simulation(model: Model) -> None:
@@ -191,9 +207,11 @@ def test_along_a_long_record_it_is_the_same_in_compiled_code(
 
     plain = found()
     monkeypatch.setattr(compiled, "LONG", 1)
-    monkeypatch.setattr(stepping, "LONG", 1)
+    monkeypatch.setattr(stepping, "COMPILED_FROM", 1)
     fast = found()
-    assert any((one != other).any() for one, other in zip(fast, plain, strict=True)), "nothing was compiled"
+    for part in (slice(2), slice(3, None)):
+        pairs = zip(fast[part], plain[part], strict=True)
+        assert any((one != other).any() for one, other in pairs), "nothing was compiled"
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
         assert one.dtype == other.dtype
