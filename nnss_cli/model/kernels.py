@@ -43,7 +43,7 @@ ROWS = 64  # rows in a weight-gradient product, at least: a tile's sums stay in 
 # Reordering and contraction are allowed; NaN and infinity are not assumed away, so that a
 # divergence still reaches the loss.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
-INLINE = {"forceinline": True}  # why: see `part`
+INLINE: Any = {"forceinline": True}  # why: see `part`
 
 
 @intrinsic

@@ -267,10 +267,10 @@ def fit_feedback(
     levenberg_marquardt(evaluate, problem.start, ITERATIONS, accepted)
     if best is None:
         return None
-    model, x, first = best
-    _, T = min(bases_of(model), key=lambda each: each[0], default=first)
+    found, x, first = best
+    _, T = min(bases_of(found), key=lambda each: each[0], default=first)
     T = T / np.sqrt(np.mean((x @ T.T) ** 2))
-    return model.transform(T), x @ T.T
+    return found.transform(T), x @ T.T
 
 
 def feedback_start(
