@@ -152,10 +152,14 @@ class Weights:
 
 def ready_to_run(model: NNSS) -> Weights:
     """The weights of a model whose `free_runs` are compiled, or read from numba's cache: one process does for all."""
-    weights, a = Weights(model), model.architecture
+    _warm_up_runs(model.architecture.dtype, model.architecture.stability)
+    return Weights(model)
+
+
+@functools.cache
+def _warm_up_runs(dtype: str, stability: str) -> None:
     with compiling(kernels.free_run):
-        weights.free_runs(np.zeros((1, a.inputs, 1)), np.zeros((a.outputs, 1)), np.zeros((a.states, 1)))
-    return weights
+        Weights(_smallest(dtype, stability)).free_runs(np.ones((1, 1, 1)), np.ones((1, 1)), np.ones((1, 1)))
 
 
 def _of_layer(name: str) -> bool:
@@ -173,18 +177,24 @@ def integrated(v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
 @functools.cache
 def warm_up(dtype: str, stability: str = "schur", second_order: bool = False) -> None:
     """Compile the kernels for a precision, or read them from numba's cache, on a problem of no size."""
+    with compiling(kernels.loss_and_gradient):
+        engine = FastEngine(
+            _smallest(dtype, stability), [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype)
+        )
+        engine.train_batch(np.arange(2), 1)
+        engine.free_run(np.ones((2, 1)), np.ones(1))
+        if second_order:
+            list(engine.sensitivities(np.ones((2, 1))))
+
+
+def _smallest(dtype: str, stability: str) -> NNSS:
+    """A model of no size, by which kernels are compiled."""
     from nnss_cli.datasets.record import Channels, Scaling
 
     hidden = (9,) if stability == "incremental" else (9, 1)
     architecture = Architecture(1, 1, 1, hidden=hidden, encoder=(1,), dtype=dtype, stability=stability)
     one = np.ones(1)
-    model = NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
-    with compiling(kernels.loss_and_gradient):
-        engine = FastEngine(model, [np.ones((3, 1))] * 2, [np.ones((3, 1))] * 2, Recipe(dtype=dtype))
-        engine.train_batch(np.arange(2), 1)
-        engine.free_run(np.ones((2, 1)), np.ones(1))
-        if second_order:
-            list(engine.sensitivities(np.ones((2, 1))))
+    return NNSS(architecture, Scaling(one, one, one, one), Channels(("u",), ("y",), ("",), ("",)), 1.0)
 
 
 class FastEngine:

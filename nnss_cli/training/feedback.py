@@ -246,7 +246,7 @@ def fit_feedback(
         return None
     lowest = min(val_error(linear, E, np.zeros(model.order)), val_error(linear, *regress_encoder(y, x)))
     waited = 0
-    best: tuple[Feedback, FloatArray, tuple[float, FloatArray]] | None = None
+    best: tuple[Feedback, FloatArray, Iterator[tuple[float, FloatArray]]] | None = None
 
     def bases_of(model: Feedback) -> Iterator[tuple[float, FloatArray]]:
         return model.contracting_bases(gamma, epsilon) if bases is None else bases(model)
@@ -256,8 +256,8 @@ def fit_feedback(
         model = problem.parts(point)[0]
         error = val_error(model, *regress_encoder(y, x))
         waited += 1
-        if error < lowest and (first := next(bases_of(model), None)):  # which is best is asked of the last one alone
-            lowest, best, waited = error, (model, x, first), 0
+        if error < lowest and (first := next(offered := bases_of(model), None)):  # the best is sought of the last alone
+            lowest, best, waited = error, (model, x, itertools.chain([first], offered)), 0
         return waited < PATIENCE and in_time()
 
     def evaluate(point: FloatArray) -> tuple[NormalEquations, FloatArray]:
@@ -267,8 +267,8 @@ def fit_feedback(
     levenberg_marquardt(evaluate, problem.start, ITERATIONS, accepted)
     if best is None:
         return None
-    found, x, first = best
-    _, T = min(bases_of(found), key=lambda each: each[0], default=first)
+    found, x, offered = best
+    _, T = min(offered, key=lambda each: each[0])
     T = T / np.sqrt(np.mean((x @ T.T) ** 2))
     return found.transform(T), x @ T.T
 

@@ -23,6 +23,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
+from nnss_cli.training import fast
 
 QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
 
@@ -112,6 +113,19 @@ def test_from_a_state_it_is_the_same_in_compiled_code(
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_allclose(one.y, other.y, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(one.x, other.x, rtol=1e-9, atol=1e-9)
+
+
+def test_a_process_makes_compiled_simulations_ready_once(
+    untrained: Callable[..., TrainedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "LONG", 1)
+    locked: list[object] = []
+    own = fast.compiling
+    monkeypatch.setattr(fast, "compiling", lambda kernel: locked.append(kernel) or own(kernel))
+    fast._warm_up_runs.cache_clear()
+    for seed in (0, 1):
+        untrained(n=3, seed=seed).simulate(np.ones((20, 1)), np.ones(1))
+    assert len(locked) == 1
 
 
 def test_a_runs_scores_are_of_the_same_simulation(
