@@ -4,6 +4,8 @@ Both are data: nothing in them is ever executed. model.json has, beside what the
 
     format      version of this layout; a folder without one is of version 1
     training    what the model was trained on and how (`nnss_cli.experiment.origin`), from version 2 on
+
+From version 3 on an NN-SS model keeps how far off its encoder's guesses are, and an ensemble may be one that clips.
 """
 
 import json
@@ -22,7 +24,7 @@ from nnss_cli.files import write_bytes, write_text
 Tensors = dict[str, NDArray[Any]]
 
 _TRAINING: ContextVar[dict[str, Any] | None] = ContextVar("training", default=None)
-FORMAT = 2
+FORMAT = 3
 """Version of the layout; `read_model` reads all up to it."""
 
 

@@ -1,13 +1,17 @@
 """x(0) from the first w > 1 output samples, by Levenberg–Marquardt through a model's own simulation.
 
-    min over x(0) of  E + μ ‖x(0) − g‖²,   E = Σ_{k<w} ‖ŷ(k) − y(k)‖²,   μ = E / (w m − n)
+    min over z of  E + μ ‖z‖²,   x(0) = g + L z,   E = Σ_{k<w} ‖ŷ(k) − y(k)‖²,   μ = E / (w m − n)
 
-in normalised units, g the encoder's guess from y(0). One sample does not determine a state, a window does as far as
-the state is observable in it; what is not stays at the guess. μ is what Bayes' rule asks for: the variance of an
-error over that of the guess, which is 1, since states are of unit size. The window's own errors tell the former, so a
-model that explains the window exactly is not held back. Stationary points are those of (w m − n) log E + ‖x(0) − g‖²,
-which falls with every step, since log is concave. Where the window has no more outputs than there are states, a fit
-says nothing of the errors, and μ is taken at the guess.
+in normalised units, g the encoder's guess from y(0), LLᵀ = P the covariance of what that guess is off by. One sample
+does not determine a state, a window does as far as the state is observable in it; what is not stays where the guess
+and P have it. μ is what Bayes' rule asks for: the variance of an error over that of z, which is 1. The window's own
+errors tell the former, so a model that explains the window exactly is not held back. Stationary points are those of
+(w m − n) log E + ‖z‖², which falls with every step, since log is concave. Where the window has no more outputs than
+there are states, a fit says nothing of the errors, and μ is taken at the guess.
+
+P is the second moment of x(k) − g(y(k)) along simulations of the training records that begin at the guess: training
+leaves states of any size, dozens where a slow one is hardly seen in y, and sizes of one would hold that at its guess.
+With P the fit is the same in every basis of the states.
 
 Sources: J. Nocedal and S. Wright, "Numerical Optimization", 2nd ed., 2006, ch. 10, for the steps; D. R. Hunter and
 K. Lange, "A tutorial on MM algorithms", The American Statistician 58(1), 2004, for the concave bound.
@@ -26,6 +30,7 @@ from nnss_cli.datasets.record import FloatArray
 
 SINGULAR = torch.linalg.LinAlgError  # type: ignore[attr-defined]  # torch does not list it as exported
 
+FLOOR = 1e-12  # of P, relative to its trace: a state that is never off its guess stays there
 FIRST_DAMPING = 1e-3  # relative to the largest squared singular value of the derivatives
 LARGEST_DAMPING = 1e8  # no step helps any more
 EVALUATIONS = 30  # at most; four to eight are usual
@@ -36,7 +41,24 @@ Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """x(k+1) (b, n) and y(k) (b, m) from x(k) (b, n), u(k) (b, r) and y(k−1) (b, m)."""
 
 
-def state_from_window(evaluate: Evaluate, guess: FloatArray, precision: float) -> FloatArray:
+def spread_of(deviations: FloatArray) -> FloatArray:
+    """L (n, n), lower triangular, LLᵀ the second moment of deviations x − g (K, n); I where it tells nothing.
+
+    That is where some are not finite, or all are zero.
+    """
+    D = np.asarray(deviations, dtype=np.float64)
+    n = D.shape[1]
+    largest = float(np.abs(D).max(initial=0))
+    if not 0 < largest < np.inf:
+        return np.eye(n)
+    D = D / largest
+    P = D.T @ D / len(D)
+    return np.asarray(largest * np.linalg.cholesky(P + FLOOR * np.trace(P) * np.eye(n)))
+
+
+def state_from_window(
+    evaluate: Evaluate, guess: FloatArray, precision: float, spread: FloatArray | None = None
+) -> FloatArray:
     """The x(0) that explains a window best; see above.
 
     A step is taken only if it lowers the cost. Where the simulation from the guess is not finite, the guess stays.
@@ -46,34 +68,36 @@ def state_from_window(evaluate: Evaluate, guess: FloatArray, precision: float) -
         guess: g (n,).
         precision: eps of the arithmetic behind `evaluate`. A relative decrease of the cost below √eps is not sought: in
             float64 it moves x(0) by a thousandth of what the errors leave open, in float32 by a few hundredths.
+        spread: L (n, n) of `spread_of`; I where it is None.
 
     Returns:
         x(0) (n,).
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        x = np.asarray(guess, dtype=np.float64)
+        x = guess = np.asarray(guess, dtype=np.float64)
         e, J = evaluate(x)
         if not (np.isfinite(x).all() and np.isfinite(e).all() and np.isfinite(J).all()):
             return x
         q, n = J.shape
+        L, z = np.eye(n) if spread is None else spread, np.zeros(n)
         mu, damping = float(e @ e) / q, FIRST_DAMPING
         linearised = None
         for _ in range(EVALUATIONS - 1):
-            cost = float(e @ e) + mu * float(np.sum((x - guess) ** 2))
+            cost = float(e @ e) + mu * float(z @ z)
             if linearised is None:
                 extra = np.sqrt(mu)
-                U, s, Vt = np.linalg.svd(np.concatenate([J, extra * np.eye(n)]), full_matrices=False)
-                linearised = s, Vt, U.T @ np.concatenate([e, extra * (x - guess)])
+                U, s, Vt = np.linalg.svd(np.concatenate([J @ L, extra * np.eye(n)]), full_matrices=False)
+                linearised = s, Vt, U.T @ np.concatenate([e, extra * z])
             s, Vt, target = linearised
             factor = s**2 / (s**2 + damping * s[0] ** 2) if s[0] > 0 else s
             # the linearised cost falls by Σ t² f (2 − f) for the step −V (f/s) t
             if not float(np.sum(target**2 * factor * (2 - factor))) > precision**0.5 * cost + q * precision**1.5:
                 break
-            candidate = x - Vt.T @ (factor / s * target)
-            errors, derivatives = evaluate(candidate)
-            lower = float(errors @ errors) + mu * float(np.sum((candidate - guess) ** 2))
+            candidate = z - Vt.T @ (factor / s * target)
+            errors, derivatives = evaluate(guess + L @ candidate)
+            lower = float(errors @ errors) + mu * float(candidate @ candidate)
             if lower < cost and np.isfinite(derivatives).all():
-                x, e, J, linearised = candidate, errors, derivatives, None
+                z, x, e, J, linearised = candidate, guess + L @ candidate, errors, derivatives, None
                 damping /= 100
                 mu = float(e @ e) / (q - n) if q > n else mu
             else:

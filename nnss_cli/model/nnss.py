@@ -40,6 +40,8 @@ from nnss_cli.model.schur import contraction_matrix, schur_matrix, schur_terms
 from nnss_cli.modelfile import Tensors, require_arrays, scaling_arrays, write_model
 from nnss_cli.system import Parts, System, system_of
 
+SPREAD = "initial_spread"
+
 
 class Drift(nn.Module):
     """What an integrator's outputs gain in a sample while the LPV part gives nothing: d (m,), in steps."""
@@ -74,6 +76,8 @@ class NNSS(nn.Module):
         )
         for name, statistic in asdict(scaling).items():
             self.register_buffer(name, torch.tensor(statistic, dtype=torch.float64))
+        self.initial_spread: Tensor  # of the encoder's guess, `nnss_cli.model.initial`
+        self.register_buffer(SPREAD, torch.eye(a.states, dtype=torch.float64))
         if a.integrator:
             self.step_size: Tensor
             self.register_buffer("step_size", torch.ones(a.outputs, dtype=self.dtype))
@@ -107,7 +111,8 @@ class NNSS(nn.Module):
         if not self.architecture.integrator:
             return self
         part = NNSS(replace(self.architecture, integrator=False), self.scaling, self.channels, self.Ts)
-        whole = self.state_dict()
+        whole, n = self.state_dict(), self.architecture.order
+        whole[SPREAD] = whole[SPREAD][:n, :n]  # lower triangular: its own states come first
         part.load_state_dict({name: whole[name] for name in part.state_dict()})
         return part
 
@@ -248,7 +253,9 @@ class NNSS(nn.Module):
                 return np.full(y.numel(), np.inf), np.full((y.numel(), len(x0)), np.inf)
             return (simulated - y).ravel().numpy().astype(np.float64), J.flatten(0, 1).numpy().astype(np.float64)
 
-        x0 = state_from_window(evaluate, guess[0].numpy().astype(np.float64), torch.finfo(self.dtype).eps)
+        x0 = state_from_window(
+            evaluate, guess[0].numpy().astype(np.float64), torch.finfo(self.dtype).eps, self.initial_spread.numpy()
+        )
         return torch.tensor(x0, dtype=self.dtype)[None]
 
     @torch.no_grad()
@@ -306,6 +313,8 @@ class NNSS(nn.Module):
         expected = {name: (tuple(own.shape), architecture.dtype) for name, own in model.named_parameters()}
         if architecture.integrator:
             expected["step_size"] = ((architecture.outputs,), architecture.dtype)
+        expected[SPREAD] = (tuple(model.initial_spread.shape), "float64")
+        tensors = {SPREAD: model.initial_spread.numpy()} | tensors  # a folder of format 2 or 1 has none
         require_arrays(tensors, expected | scaling_arrays(architecture.inputs, architecture.outputs))
         model.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in tensors.items()})
         return model

@@ -32,7 +32,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import Lure, PlainArrays
-from nnss_cli.model.initial import state_from_window
+from nnss_cli.model.initial import spread_of, state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import lure_kernels as kernels
 from nnss_cli.training.encoder import fit_encoder, regress_encoder
@@ -94,7 +94,9 @@ class Cascade:
         """ŷ (k, m), x (k, n) and ∂ŷ/∂[all matrices; x(0)] (k, m, P + n), in stretches of k samples."""
         return plain_sensitivities(self.plain, x0, u, STRETCH)
 
-    def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
+    def state_from(
+        self, u: FloatArray, y: FloatArray, guess: FloatArray, spread: FloatArray | None = None
+    ) -> FloatArray:
         """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,13 +104,16 @@ class Cascade:
             simulated, J = (np.concatenate(each) for each in zip(*parts, strict=True))
             return (simulated - y).ravel(), J.reshape(-1, len(x0))
 
-        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps)) if len(y) > 1 else guess
+        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
 
-    def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray) -> float:
-        """Mean square error of free simulations from w first outputs, unscored where several, guessed by E y(0) + e."""
+    def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray) -> float:
+        """Mean square error of free simulations from w first outputs, unscored where several, guessed by E y(0) + e.
+
+        LLᵀ is the covariance of what such guesses are off by, L the spread (n, n).
+        """
         errors, unscored = [], w if w > 1 else 0
         for record in val:
-            x = self.states(record.u, self.state_from(record.u, record.y[:w], E @ record.y[0] + e))
+            x = self.states(record.u, self.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread))
             errors.append((self.outputs(record.u, x) - record.y)[unscored:])
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.mean(np.square(np.concatenate(errors))))
@@ -270,8 +275,8 @@ def fit_cascade(
     def accepted(point: FloatArray, _: float, x: FloatArray) -> bool:
         nonlocal best
         model = problem.at(point)
-        encoder = (model.initial, np.zeros(len(model.initial))) if init_window > 1 else regress_encoder(y, x)
-        error = model.validated(val, init_window, *encoder)
+        E, e = (model.initial, np.zeros(len(model.initial))) if init_window > 1 else regress_encoder(y, x)
+        error = model.validated(val, init_window, E, e, spread_of(x - y @ E.T - e))
         if error < best.error and model.radius < gamma * (1 - INSIDE):
             best = replace(model, error=error)
         return in_time()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.model.initial import SINGULAR, spread_of
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.least_squares import Block
@@ -50,6 +51,13 @@ class Engine(Protocol):
         """Simulated outputs (K, m) of inputs (K, r), in normalised units.
 
         From the encoder's x(0) for a first output (m,), or the x(0) that explains first outputs (w, m) best.
+        """
+        ...
+
+    def see(self, records: Sequence[Record]) -> FloatArray:
+        """Take from simulations of these records how far x(0) may be from the encoder's guess; L (n, n).
+
+        `nnss_cli.model.initial` has what it is for. An encoder that sees a window is not asked: its guess stays.
         """
         ...
 
@@ -173,6 +181,20 @@ class ReferenceEngine:
         inputs, known = (torch.tensor(signal, dtype=self.model.dtype) for signal in (u, np.atleast_2d(y_init)))
         y, _ = self.model(inputs[None], known[:1], x0=self.model.initial_state(inputs, known))
         return np.asarray(y[0].numpy(), dtype=np.float64)
+
+    @torch.no_grad()
+    def see(self, records: Sequence[Record]) -> FloatArray:
+        """L of what the encoder's guesses are off by; see `Engine`."""
+        if self.model.architecture.encoder_window == 1:
+            deviations = []
+            for record in records:
+                u, y = (torch.tensor(signal, dtype=self.model.dtype) for signal in (record.u, record.y))
+                try:
+                    deviations.append((self.model(u[None], y[:1])[1][0] - self.model.encode(y)).numpy())
+                except SINGULAR:  # as good as not finite
+                    deviations.append(np.full((1, self.model.architecture.states), np.inf))
+            self.model.initial_spread.copy_(torch.from_numpy(spread_of(np.concatenate(deviations))))
+        return self.model.initial_spread.numpy()
 
     def weights(self) -> Tensors:
         """A copy of the weights; see `Engine`."""

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import Windows
 from nnss_cli.lock import compiling
 from nnss_cli.model import kernels
 from nnss_cli.model.architecture import Architecture
-from nnss_cli.model.initial import state_from_window
+from nnss_cli.model.initial import spread_of, state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.training.encoder import Layers, encoder_gradient, encoder_map, seen_windows
@@ -36,6 +36,7 @@ class Weights:
         self.generator_size = sum(array.size for name, array in parameters.items() if name.startswith("generator"))
         self.drift = slice(self.generator_size - a.outputs * a.integrator, self.generator_size)
         self.step_size = model.step_size.numpy() if a.integrator else np.ones(0)
+        self.initial_spread = model.initial_spread.numpy().copy()
         self.widths = np.array([a.scheduling_size, *a.hidden, sum(a.parameter_sizes)])
         self.lure: CompiledLure | None = None
         if a.stability == "incremental":
@@ -86,7 +87,14 @@ class Weights:
             simulated, J = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
             return (simulated - y).ravel().astype(np.float64), J[:, :, p:].reshape(-1, n).astype(np.float64)
 
-        return state_from_window(evaluate, guess, float(np.finfo(self.vector.dtype).eps))
+        return state_from_window(evaluate, guess, float(np.finfo(self.vector.dtype).eps), self.initial_spread)
+
+    def deviations(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """x(k) − g(y(k)) (K, n) along a simulation of inputs u (K, r) from the guess g(y(0)) of outputs y (K, m)."""
+        guesses = self.encode(np.asarray(y, self.vector.dtype).T)
+        _, x = self.free_runs(u[:, :, None], y[:1].T, guesses[:, :1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            return x[:, :, 0] - guesses.T
 
     def sensitivities(
         self, x0: FloatArray, u: FloatArray, y0: FloatArray
@@ -287,6 +295,13 @@ class FastEngine:
     def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:
         """Free simulation; see `Engine`."""
         return self.model_weights.free_run(u, y_init)[0].astype(np.float64)
+
+    def see(self, records: Sequence[Record]) -> FloatArray:
+        """L of what the encoder's guesses are off by; see `Engine`."""
+        own = self.model_weights
+        if own.architecture.encoder_window == 1:
+            own.initial_spread = spread_of(np.concatenate([own.deviations(each.u, each.y) for each in records]))
+        return own.initial_spread
 
     def weights(self) -> Tensors:
         """A copy of the weights; see `Engine`."""

@@ -29,7 +29,7 @@ from nnss_cli.baselines.schur import bounded_real_basis
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.incremental import PlainArrays
-from nnss_cli.model.initial import state_from_window
+from nnss_cli.model.initial import spread_of, state_from_window
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import feedback_kernels as kernels
 from nnss_cli.training.encoder import regress_encoder, set_encoder
@@ -68,14 +68,16 @@ class Feedback:
         kernels.simulate(*map(plain, (self.A, u @ self.B.T, self.F, self.G, x0)), TOO_LARGE, path)
         return path
 
-    def state_from(self, u: FloatArray, y: FloatArray, guess: FloatArray) -> FloatArray:
+    def state_from(
+        self, u: FloatArray, y: FloatArray, guess: FloatArray, spread: FloatArray | None = None
+    ) -> FloatArray:
         """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
 
         def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
             simulated, J = self.response(u[: len(y)], x0)
             return (simulated - y).ravel(), J.reshape(-1, len(x0))
 
-        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps)) if len(y) > 1 else guess
+        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
 
     def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
@@ -232,19 +234,20 @@ def fit_feedback(
     unscored = w if w > 1 else 0
     known = np.concatenate([record.y[unscored:] for record in val])
 
-    def val_error(model: Feedback, E: FloatArray, e: FloatArray) -> float:
-        begin = [model.state_from(record.u, record.y[:w], E @ record.y[0] + e) for record in val]
+    def val_error(model: Feedback, x: FloatArray, E: FloatArray, e: FloatArray) -> float:
+        spread = spread_of(x - y @ E.T - e) if w > 1 else None
+        begin = [model.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread) for record in val]
         path = [model.states(record.u, x0) for record, x0 in zip(val, begin, strict=True)]
         if not all(np.isfinite(x).all() for x in path):
             return np.inf
-        y = [model.outputs(record.u, x)[unscored:] for record, x in zip(val, path, strict=True)]
-        return float(np.mean((np.concatenate(y) - known) ** 2))
+        simulated = [model.outputs(record.u, x)[unscored:] for record, x in zip(val, path, strict=True)]
+        return float(np.mean((np.concatenate(simulated) - known) ** 2))
 
     linear, begin = problem.parts(problem.start)
     x = np.concatenate([linear.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)])
     if not np.isfinite(x).all():
         return None
-    lowest = min(val_error(linear, E, np.zeros(model.order)), val_error(linear, *regress_encoder(y, x)))
+    lowest = min(val_error(linear, x, E, np.zeros(model.order)), val_error(linear, x, *regress_encoder(y, x)))
     waited = 0
     best: tuple[Feedback, FloatArray, Iterator[tuple[float, FloatArray]]] | None = None
 
@@ -254,7 +257,7 @@ def fit_feedback(
     def accepted(point: FloatArray, _: float, x: FloatArray) -> bool:
         nonlocal lowest, best, waited
         model = problem.parts(point)[0]
-        error = val_error(model, *regress_encoder(y, x))
+        error = val_error(model, x, *regress_encoder(y, x))
         waited += 1
         if error < lowest and (first := next(offered := bases_of(model), None)):  # the best is sought of the last alone
             lowest, best, waited = error, (model, x, itertools.chain([first], offered)), 0

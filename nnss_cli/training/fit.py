@@ -280,6 +280,7 @@ class _Attempt:
     def squares(self) -> FloatArray:
         """Of the best weights' errors on the validation records (K,), over all outputs of a sample."""
         self.watch.begin_again()
+        self.watch.see()
         errors = free_run_errors(self.watch.engine, self.watch.val, self.watch.init_window)
         return np.concatenate([np.square(each).sum(axis=1) for each in errors])
 
@@ -288,7 +289,7 @@ class _Attempt:
         recipe, watch, later = self.recipe, self.watch, self.samples > 0
         u, y = sliding_windows(records, recipe.window, recipe.stride)
         batches = max(1, len(u) // recipe.batch) if recipe.optimiser == "adam" else 1
-        watch.take(build_engine(self.model, u, y, recipe), batches if recipe.patience_unit == "steps" else 1)
+        watch.take(build_engine(self.model, u, y, recipe), records, batches if recipe.patience_unit == "steps" else 1)
         try:
             if later:
                 watch.begin_again()
@@ -337,6 +338,8 @@ class _Attempt:
             )
             remarks += (f"{refused} {self.start} start",)
         self.model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
+        watch.engine.place(_vector(watch.kept))
+        self.model.initial_spread.copy_(torch.from_numpy(watch.engine.see(watch.records)))
         return Training(
             self.model,
             len(watch.losses),
@@ -470,9 +473,9 @@ class _Watch:
         self.losses: list[float] = []
         self.errors: list[float] = []
 
-    def take(self, engine: Engine, epoch_waits: int) -> None:
-        """Watch this engine from now on; an epoch adds `epoch_waits` to the wait."""
-        self.engine, self.epoch_waits = engine, epoch_waits
+    def take(self, engine: Engine, records: tuple[Record, ...], epoch_waits: int) -> None:
+        """Watch this engine, trained on these records, from now on; an epoch adds `epoch_waits` to the wait."""
+        self.engine, self.records, self.epoch_waits = engine, records, epoch_waits
         self.kept = self.kept or engine.weights()
 
     def start(self) -> None:
@@ -481,7 +484,13 @@ class _Watch:
 
     def val_error(self) -> float:
         """Of the weights as they are, by the rule that scores them."""
+        self.see()
         return free_run_rmse(self.engine, self.val, self.init_window)
+
+    def see(self) -> None:
+        """Where a window tells x(0): how far from the guess it may be, by the weights as they are."""
+        if self.init_window > 1:
+            self.engine.see(self.records)
 
     def begin_again(self) -> None:
         """Go back to the best weights, with fresh patience."""

@@ -1,6 +1,7 @@
 """x(0) from a window of outputs: against least squares, finite differences and the state that made the window."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,14 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace
-from nnss_cli.datasets.record import Channels, Scaling
+from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
-from nnss_cli.model.initial import response, state_from_window
+from nnss_cli.model.initial import response, spread_of, state_from_window
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training.fast import Weights
+from nnss_cli.training.engine import ReferenceEngine
+from nnss_cli.training.fast import FastEngine, Weights
 from nnss_cli.training.feedback import Feedback
+from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.warm import warm_start
 
 NETWORKS = tuple(each for each in STABILITIES if each != "incremental")
@@ -147,6 +150,114 @@ def test_an_unobservable_state_stays_at_the_guess_however_long_the_window() -> N
         x = state_from_window(lambda x, b=b: (J @ x - b, J), np.array([0.5, 0.25]), EPS)
         assert abs(x[0] - 2) < 0.3
         assert x[1] == pytest.approx(0.25, abs=1e-9)
+
+
+@given(n=st.integers(1, 5), more=st.integers(1, 30), seed=st.integers(0, 999))
+def test_a_fit_is_the_same_in_every_basis(n: int, more: int, seed: int) -> None:
+    """With states T x, the guess T g and deviations T d give T times the state, however different their sizes."""
+    random = np.random.default_rng(seed)
+    evaluate, J, b, guess = linear_problem(n + more, n, seed)
+    deviations = random.standard_normal((50, n)) * 10.0 ** random.uniform(-1, 1, n)
+    T = random.standard_normal((n, n)) + 2 * np.eye(n)
+    T *= 10.0 ** random.uniform(-1, 1, n)[:, None]
+    if np.linalg.cond(T) > 1e4:
+        return
+    own = np.linalg.solve(T.T, J.T).T
+    x = state_from_window(evaluate, guess, EPS, spread_of(deviations))
+    z = state_from_window(lambda z: (own @ z - b, own), T @ guess, EPS, spread_of(deviations @ T.T))
+    scale = np.abs(T) @ np.abs(x - guess)
+    np.testing.assert_allclose(z, T @ x, atol=1e-6 * scale.max())  # step by step
+    mu = np.sum((J @ x - b) ** 2) / more
+    covariance = np.linalg.inv(J.T @ J / mu + np.linalg.inv(deviations.T @ deviations / 50))
+    expected = guess + covariance @ J.T @ (b - J @ guess) / mu
+    np.testing.assert_allclose(x, expected, atol=0.01 * np.sqrt(np.diag(covariance)).max())
+
+
+@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
+def test_the_spread_is_a_factor_of_the_second_moment(size: float) -> None:
+    random = np.random.default_rng(0)
+    D = random.standard_normal((40, 3)) @ random.standard_normal((3, 3)) + 1
+    L = spread_of(size * D) / size
+    np.testing.assert_array_equal(np.triu(L, 1), 0)
+    np.testing.assert_allclose(L @ L.T, D.T @ D / 40, rtol=1e-9)
+    D[:, 1] = 0  # a state that is never off its guess
+    L = spread_of(size * D) / size
+    assert 0 < np.abs(L[1]).max() < 1e-5
+
+
+@pytest.mark.parametrize("off", [[[np.nan, 1.0]], [[1.0, np.inf]], [[0.0, 0.0]], np.empty((0, 2))])
+def test_where_simulations_tell_nothing_the_spread_is_one(off: list) -> None:
+    np.testing.assert_array_equal(spread_of(np.array(off)), np.eye(2))
+
+
+def hardly_seen(size: float = 40.0) -> NNSS:
+    """A linear model with a slow state of that size, which the output hardly shows at first; g knows the other."""
+    A, B = np.array([[0.7, 0.2 / size], [0.0, 0.995]]), np.array([[0.3], [0.1 * size]])
+    linear = LinearStateSpace(A, B, np.array([[1.0, 0.0]]), np.zeros((1, 1)), 1.0)
+    a = Architecture(2, 1, 1, (2,), (2,), dtype="float64", stability="none")
+    model = NNSS(a, Scaling(*(number * ONE for number in (0, 1, 0, 1))), Channels(("u",), ("y",), ("",), ("",)), 1.0)
+    warm_start(model, (linear, np.array([[1.0], [0.0]])))
+    return model
+
+
+@pytest.mark.parametrize("engine", [ReferenceEngine, FastEngine])
+def test_a_slow_state_of_any_size_is_found(engine: type) -> None:
+    """What a state of size one would have held at its guess; told from the training record alone."""
+    random, errors = np.random.default_rng(3), {}
+    for size in (1.0, 40.0):
+        model, at = hardly_seen(size), np.array([0.0, -1.2 * size])
+        random = np.random.default_rng(3)
+        u, _ = simulated(model, at, K=400)
+        y, _ = run(model, u, at)
+        noisy = y + 0.05 * random.standard_normal(y.shape)
+        built = engine(model, [u], [y], Recipe(dtype="float64"))
+        before = built.free_run(u, noisy[:30])
+        training = Record(random.standard_normal((2000, 1)), np.zeros((2000, 1)), 1.0)
+        training = replace(training, y=run(model, training.u, np.zeros(2))[0])
+        built.see((training,))
+        errors[size] = [np.sqrt(np.mean((each - y)[30:] ** 2)) for each in (before, built.free_run(u, noisy[:30]))]
+    assert errors[40.0][0] > 5 * errors[40.0][1]
+    assert errors[40.0][1] == pytest.approx(errors[1.0][1], rel=1e-3)
+
+
+def run(model: NNSS, u: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    with torch.no_grad():
+        y, x = model(torch.tensor(u)[None], torch.zeros(1, 1, dtype=model.dtype), x0=torch.tensor(x0)[None])
+    return y[0].numpy(), x[0].numpy()
+
+
+@pytest.mark.parametrize("scheduling", SCHEDULING)
+def test_the_engines_see_the_same_spread(scheduling: str) -> None:
+    model = make(scheduling, m=2)
+    records = []
+    for seed, K in ((1, 120), (2, 70)):
+        u, y = simulated(model, np.ones(3), K, seed)
+        records.append(Record(model.scaling.normalise_u(u), model.scaling.normalise_y(y), 1.0))
+    windows = [record.u for record in records], [record.y for record in records], Recipe(dtype="float64")
+    fast = FastEngine(model, *windows).see(records)
+    plain = ReferenceEngine(model, *windows).see(records)
+    np.testing.assert_allclose(fast, plain, rtol=1e-8, atol=1e-10)
+    off = []
+    for record in records:
+        with torch.no_grad():
+            y = torch.tensor(record.y)
+            _, x = model(torch.tensor(record.u)[None], y[:1])
+            off.append((x[0] - model.encode(y)).numpy())
+    np.testing.assert_allclose(fast @ fast.T, np.mean([np.outer(d, d) for d in np.concatenate(off)], axis=0), rtol=1e-6)
+
+
+def test_a_singular_simulation_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = make()
+    u, y = simulated(model, np.ones(3))
+    engine = ReferenceEngine(model, [u], [y], Recipe(dtype="float64"))
+    engine.see((Record(u, y, 1.0),))
+    assert np.abs(engine.see((Record(u, y, 1.0),)) - np.eye(3)).max() > 0.1
+
+    def failing(*_: object) -> None:
+        raise torch.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(NNSS, "step", failing)
+    np.testing.assert_array_equal(engine.see((Record(u, y, 1.0),)), np.eye(3))
 
 
 def test_no_evaluation_raises_the_cost_and_what_is_not_finite_leaves_the_guess() -> None:

@@ -86,8 +86,12 @@ def test_it_begins_at_the_measured_output_and_is_read_back(tmp_path: Path) -> No
     u, first = random.standard_normal((30, 2)), random.standard_normal((1, 2))
     simulated = model.simulate(u, first)
     np.testing.assert_allclose(simulated.y[0], first[0], rtol=1e-12)
+    L = np.tril(random.standard_normal((5, 5)))
+    model.initial_spread.copy_(torch.from_numpy(L))
     model.save(tmp_path)
     np.testing.assert_array_equal(load_model(tmp_path).simulate(u, first).y, simulated.y)
+    part = load_model(tmp_path).lpv_part().initial_spread.numpy()
+    np.testing.assert_allclose(part @ part.T, (L @ L.T)[:3, :3])  # the covariance of its own states
 
 
 def drive(u: np.ndarray, friction: float = 0.1) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from nnss_cli.datasets.record import Simulation
 
 import nnss_cli
@@ -20,10 +21,11 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import METHODS, compiled, load_model, select
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.modelfile import FORMAT
+from nnss_cli.modelfile import FORMAT, read_model, read_tensors, write_tensors
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
 from nnss_cli.training import fast
+from nnss_cli.training.recipe import Recipe
 
 QUICK = {"epochs": 1, "hidden": (3,), "encoder": (2,)}
 
@@ -200,6 +202,26 @@ def test_older_folders_load(trained_folder: Callable[..., Path], tmp_path: Path)
     assert (bare.origin, bare.fingerprint, bare.order, bare.init_window) == (None, None, 2, 1)
     u = np.random.default_rng(0).standard_normal(9)
     np.testing.assert_array_equal(bare.simulate(u, 1.0).y, load(trained_folder()).simulate(u, 1.0).y)
+
+
+def test_how_far_off_guesses_are_is_kept_and_older_folders_have_states_of_size_one(
+    trained_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder, dataset = trained_folder("nnss", **QUICK), small_dataset()
+    tensors = read_tensors(folder / "model.safetensors")
+    kept = tensors["initial_spread"]
+    model = NNSS.from_file(*read_model(folder))
+    engine = fast.FastEngine(model, [np.ones((3, 1))], [np.ones((3, 1))], Recipe(dtype=model.architecture.dtype))
+    np.testing.assert_allclose(engine.see(dataset.fitting.normalised()[0]), kept, rtol=1e-6)
+    assert np.abs(kept - np.eye(2)).max() > 0.01
+    (older := tmp_path / "older").mkdir()
+    shutil.copy(folder / "model.json", older)
+    write_tensors(older / "model.safetensors", {name: tensors[name] for name in tensors.keys() - {"initial_spread"}})
+    bare = load(changed(older, tmp_path, format=2))
+    model.initial_spread.copy_(torch.eye(2))
+    u, y = np.random.default_rng(0).standard_normal((2, 30, 1))
+    np.testing.assert_array_equal(bare.simulate(u, y).y, model.simulate(u, y).y)
+    assert np.abs(load(folder).simulate(u, y).y - model.simulate(u, y).y).max() > 1e-6
 
 
 def test_equal_trainings_give_equal_folders(trained_folder: Callable[..., Path], tmp_path: Path) -> None:

@@ -327,6 +327,29 @@ def test_derivatives_are_found_ahead_with_two_threads_alone(threads: int, monkey
     assert bool(used) == (threads == 2)
 
 
+def test_an_iterate_is_judged_with_the_spread_of_its_own_states(
+    between: FittingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spreads: list[np.ndarray] = []
+    plain = Cascade.validated
+
+    def noting(self: Cascade, val: tuple[Record, ...], w: int, E: np.ndarray, e: np.ndarray, L: np.ndarray) -> float:
+        x = np.concatenate([self.states(record.u, E @ record.y[0] + e) for record in train])
+        P = L @ L.T
+        off = x - train[0].y @ E.T - e
+        np.testing.assert_allclose(
+            P, off.T @ off / len(off), atol=0.1 * np.abs(P).max()
+        )  # but for x(0), which is fitted
+        spreads.append(L)
+        return plain(self, val, w, E, e, L)
+
+    monkeypatch.setattr(module, "ROUNDS", ((5, 1),))
+    monkeypatch.setattr(Cascade, "validated", noting)
+    train, val = between.normalised()
+    cascade_start(layer(4, 6), linear_start(train, val, 4, 1.0, 10), train, val, named_random(0, "cascade"), 10)
+    assert len(spreads) >= 5
+
+
 def test_a_plant_of_this_form_is_found_and_the_layer_stays_of_it(between: FittingData) -> None:
     train, val = between.normalised()
     model = layer(4, 6)

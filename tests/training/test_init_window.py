@@ -107,15 +107,19 @@ def test_ssest_and_the_order_table_choose_by_the_score(windowed: Dataset, monkey
 
 def test_a_feedback_start_is_judged_from_windows(windowed: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     lengths: set[int] = set()
+    spreads: list[np.ndarray] = []
     plain = Feedback.state_from
 
-    def noting(self: Feedback, u: np.ndarray, y: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    def noting(self: Feedback, u: np.ndarray, y: np.ndarray, guess: np.ndarray, spread: np.ndarray) -> np.ndarray:
         lengths.add(len(y))
-        return plain(self, u, y, guess)
+        spreads.append(spread)
+        return plain(self, u, y, guess, spread)
 
     monkeypatch.setattr(Feedback, "state_from", noting)
     fit = METHODS["nnss"].fit(windowed.fitting, 2, 0, METHODS["nnss"].settings(windowed.fitting, 2, QUICK), None)
     assert lengths == {W}
+    assert all(np.abs(spread - np.eye(2)).max() > 1e-3 for spread in spreads)  # of the states of each iterate
+    assert np.abs(spreads[0] - spreads[-1]).max() > 1e-6
     assert not any("failed" in remark for remark in fit.remarks)
 
 
