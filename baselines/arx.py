@@ -9,7 +9,12 @@ feedback u(k) may also follow y(k), so a small p-value is a reason to try a feed
 *Does the output integrate?* The poles are the roots of det(I − Σ Aᵢ z⁻ⁱ). A real one whose time constant is as
 long as the record cannot be told from an integrator. Output noise draws poles inwards, so a short one proves nothing.
 
-Source: T. Söderström and P. Stoica, "System Identification", 1989, ch. 11 (comparison of nested structures).
+*Where does the output rest under the mean input?* At d = (I − Σ Aᵢ)⁻¹ c, in deviations from the means. A record that
+moves around its means has d = 0 but for its ends. One that climbs from rest and ends elsewhere has not, and a linear
+model in deviations from the means, without an offset, cannot be the plant then, whatever its order.
+
+Sources: T. Söderström and P. Stoica, "System Identification", 1989, ch. 11 (comparison of nested structures); L. Ljung,
+"System Identification", 2nd ed., 1999, ch. 14.1 (offsets in data).
 """
 
 from __future__ import annotations
@@ -23,6 +28,7 @@ SAMPLES_A_COEFFICIENT = 3
 RANK = 1e-13  # a smooth input's past has singular values down to 1e-10, which count
 NEW = 1e-10  # of u(k) beside its past, relative; below it is rounding, as of a sum of a few sines
 REAL = 1e-6  # largest imaginary part of a real pole
+SURE = 3.0  # standard errors beyond which a steady output is not the mean
 
 
 def feedthrough_p_value(records: tuple[Record, ...]) -> float:
@@ -66,17 +72,78 @@ def longest_time_constant(records: tuple[Record, ...]) -> float:
     if p == 0:
         return 0.0
     X, U, Y = _regression(records, p)
-    X = np.hstack([X, U, np.ones((len(X), 1))])
-    scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-    coefficients = np.linalg.lstsq(X / scale, Y, rcond=RANK)[0] / scale[:, None]
-    lag = m + records[0].input_count
+    coefficients = _Regressor(np.hstack([X, U, np.ones((len(X), 1))])).coefficients(Y)
     companion = np.eye(m * p, k=-m)
-    companion[:m] = np.hstack([coefficients[i * lag : i * lag + m].T for i in range(p)])
+    companion[:m] = np.hstack(_output_matrices(coefficients, records[0], p))
     poles = np.linalg.eigvals(companion)
     real = poles[(np.abs(poles.imag) < REAL) & (poles.real > 0)].real
     if not len(real):
         return 0.0
     return float("inf") if real.max() >= 1 else -1 / float(np.log(real.max()))
+
+
+def steady_outputs(records: tuple[Record, ...]) -> FloatArray:
+    """Outputs at rest under the mean inputs, less the mean outputs (m,); 0 for one that is not surely another.
+
+    That is where it is within `SURE` standard errors.
+
+    Args:
+        records: experiments, in any units.
+    """
+    found, deviation = steady_estimate(records)
+    return np.where(np.abs(found) > SURE * deviation, found, 0.0)
+
+
+def steady_estimate(records: tuple[Record, ...]) -> tuple[FloatArray, FloatArray]:
+    """d (m,) and its standard errors (m,), of least squares by the delta method: a third too small on short records.
+
+    Those are infinite where the outputs integrate, and where the records are too short for any model.
+    """
+    r, m, p = records[0].input_count, records[0].output_count, _lags(records)
+    nothing = np.zeros(m), np.full(m, np.inf)
+    if p == 0 or longest_time_constant(records) >= max(map(len, records)):
+        return nothing
+    u_mean, y_mean = (
+        np.concatenate(signals).mean(axis=0) for signals in zip(*((a.u, a.y) for a in records), strict=True)
+    )
+    X, U, Y = _regression(records, p)
+    X, U, Y = X - np.tile(np.concatenate([y_mean, u_mean]), p), U - u_mean, Y - y_mean
+    regressor = _Regressor(np.hstack([X, U, np.ones((len(X), 1))]))
+    coefficients = regressor.coefficients(Y)
+    at_rest = np.eye(m) - sum(_output_matrices(coefficients, records[0], p))
+    try:
+        found, through = np.linalg.solve(at_rest, coefficients[-1]), np.linalg.inv(at_rest)
+    except np.linalg.LinAlgError:
+        return nothing
+    by_coefficients = np.concatenate([np.tile(np.concatenate([found, np.zeros(r)]), p), np.zeros(r), [1.0]])
+    errors = Y - regressor.X @ coefficients
+    covariance = errors.T @ errors / max(1, len(Y) - len(coefficients)) * regressor.variance(by_coefficients)
+    return found, np.sqrt(np.diag(through @ covariance @ through.T))
+
+
+class _Regressor:
+    """A regression on X (q, c), whose columns may be of any size, and are collinear where a past tells nothing new."""
+
+    def __init__(self, X: FloatArray) -> None:
+        self.X = X
+        self.scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+        self.left, sizes, right = np.linalg.svd(X / self.scale, full_matrices=False)
+        seen = sizes > RANK * sizes[0]
+        self.left, self.back = self.left[:, seen], right[seen].T / sizes[seen]
+
+    def coefficients(self, Y: FloatArray) -> FloatArray:
+        """The smallest of least squares (c, m), in units of the columns' norms."""
+        return np.asarray(self.back @ (self.left.T @ Y) / self.scale[:, None])
+
+    def variance(self, by_coefficients: FloatArray) -> float:
+        """Of a function with these derivatives (c,), over that of an error."""
+        return float(np.sum((self.back.T @ (by_coefficients / self.scale)) ** 2))
+
+
+def _output_matrices(coefficients: FloatArray, record: Record, p: int) -> list[FloatArray]:
+    """A₁ … A_p (m, m) of a regression on `_regression`'s past."""
+    m, lag = record.output_count, record.output_count + record.input_count
+    return [coefficients[i * lag : i * lag + m].T for i in range(p)]
 
 
 def _lags(records: tuple[Record, ...]) -> int:

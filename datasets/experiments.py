@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from nnss_cli.datasets.description import Description
 from nnss_cli.datasets.formats import numbers, place, read_table, times
 from nnss_cli.datasets.preparation import (
-    Trend,
     Where,
     check_agreement,
     check_complete,
     check_increasing,
     cut,
     downsample,
-    fit_trend,
+    fit_drift,
     interpolate_missing,
     resample,
     uniform_Ts,
@@ -41,7 +41,7 @@ class Experiments:
     name: str
     """Name of the record."""
     train: tuple[Record, ...]
-    """Training experiments, physical units, without the trend."""
+    """Training experiments, physical units, without the drift."""
     val: tuple[Record, ...]
     """Validation experiments, likewise."""
     tests: Mapping[str, tuple[Record, ...]]
@@ -51,21 +51,9 @@ class Experiments:
     init_window: int
     """First output samples from which the initial state is found; they are not scored."""
     notes: tuple[str, ...] = ()
-    """What a reader of the results must know: samples interpolated, trends taken off, no test."""
-    trend: Trend | None = None
-    """What was taken off every record, columns (inputs, outputs); None where nothing was."""
-    starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """When each record of a part ("train", "val" or a test set's name) starts in its file [s]."""
-
-    def removed(self, part: str) -> tuple[FloatArray, ...]:
-        """The trend (K, r + m) of each record of a part, to be added again; zeros where nothing was taken off."""
-        records = {"train": self.train, "val": self.val, **self.tests}[part]
-        found = []
-        for record, start in zip(records, self.starts[part], strict=True):
-            shape = (len(record), record.input_count + record.output_count)
-            t = start + np.arange(len(record)) * record.Ts
-            found.append(np.zeros(shape) if self.trend is None else self.trend.at(t))
-        return tuple(found)
+    """What a reader of the results must know: samples interpolated, a drift taken off, no test."""
+    about_means: bool = False
+    """Whether models are to be in deviations from the means, wherever the plant rests under the mean input."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +86,7 @@ class _Part:
 def load_experiments(description: Description) -> Experiments:
     """Read, prepare and split the described files.
 
-    The order is: columns, time axis, missing samples, resampling, downsampling, split, trend (fitted on the training
+    The order is: columns, time axis, missing samples, resampling, downsampling, split, drift (fitted on the training
     part only).
 
     Raises:
@@ -112,29 +100,34 @@ def load_experiments(description: Description) -> Experiments:
             _check_alike(first, part.signals)
             _check_length(name, part, description)
     _check_varying(parts["train"], r)
-    trend = fit_trend([(part.t, part.values) for part in parts["train"]], description.detrend)
+    drift = fit_drift([(part.t, part.values) for part in parts["train"]]) if description.detrend == "linear" else None
 
     def records(group: Sequence[_Part]) -> tuple[Record, ...]:
         found = []
         for part in group:
-            values = part.values if trend is None else part.values - trend.at(part.t)
+            values = part.values if drift is None else part.values - drift.at(part.t)
             found.append(Record(values[:, :r], values[:, r:], first.Ts))
         return tuple(found)
 
     tests = {name: group for name, group in parts.items() if name not in ("train", "val")}
     files = {part.signals.file: part.signals for group in parts.values() for part in group}
     notes = [note for signals in files.values() for note in signals.notes]
-    if trend is not None:
-        kind = "mean" if description.detrend == "constant" else "least-squares line in time"
-        notes.append(f"the training part's {kind} was taken off every signal")
-    if not tests:
-        notes.append("there is no test part")
-    channels = Channels(
-        first.names[:r],
-        first.names[r:],
+    units = (
         description.input_units or tuple(map(unit_in, first.names[:r])),
         description.output_units or tuple(map(unit_in, first.names[r:])),
     )
+    if drift is not None:
+        lines = [
+            f"{name} {slope:.4g}{_after(unit)}/s"
+            for name, slope, unit in zip(first.names, drift.slope, itertools.chain(*units), strict=True)
+        ]
+        notes.append(
+            f"the training part's least-squares drift was taken off every record: {', '.join(lines)}; the models know "
+            "signals without it"
+        )
+    if not tests:
+        notes.append("there is no test part")
+    channels = Channels(first.names[:r], first.names[r:], *units)
     return Experiments(
         name=description.name,
         train=records(parts["train"]),
@@ -143,8 +136,7 @@ def load_experiments(description: Description) -> Experiments:
         channels=channels,
         init_window=description.init_window,
         notes=tuple(notes),
-        trend=trend,
-        starts={name: tuple(float(part.t[0]) for part in group) for name, group in parts.items()},
+        about_means=description.detrend == "constant",
     )
 
 
@@ -270,11 +262,32 @@ def _check_varying(train: Sequence[_Part], r: int) -> None:
             )
 
 
-def dataset_of(experiments: Experiments) -> Dataset:
-    """The experiments as a dataset, scaled over the training part, under the protocol `own`."""
-    scaling = Scaling.of(experiments.train)
+def _after(unit: str) -> str:
+    """The unit behind a number."""
+    return f" {unit}" if unit not in ("", "–") else ""
+
+
+def dataset_of(experiments: Experiments, steady_outputs: Callable[[tuple[Record, ...]], FloatArray]) -> Dataset:
+    """The experiments as a dataset, scaled over the training part, under the protocol `own`.
+
+    Models are in deviations from the mean inputs and the outputs at rest under them, so that linear ones need no
+    offset. Where the training part moves around its means, that is the mean outputs.
+
+    Args:
+        experiments: whose `about_means` asks for the mean outputs instead.
+        steady_outputs: outputs at rest under the mean inputs, less the mean outputs (m,), of training records.
+    """
+    scaling, notes, channels = Scaling.of(experiments.train), experiments.notes, experiments.channels
+    offset = np.zeros(len(scaling.y_mean)) if experiments.about_means else steady_outputs(experiments.train)
+    for name, unit, off, mean in zip(channels.outputs, channels.output_units, offset, scaling.y_mean, strict=True):
+        if off != 0:
+            notes += (
+                f"{name}: models are about {mean + off:.5g}{_after(unit)}, where it rests under the mean input; the "
+                f'training part does not move around its mean, {mean:.5g}, which detrend = "constant" would take',
+            )
+    scaling = replace(scaling, y_mean=scaling.y_mean + offset)
     fitting = FittingData(
         experiments.name, OWN, experiments.train, experiments.val, scaling, experiments.channels,
         experiments.init_window,
     )  # fmt: skip
-    return Dataset(fitting, dict(experiments.tests), experiments.notes)
+    return Dataset(fitting, dict(experiments.tests), notes)

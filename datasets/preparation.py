@@ -196,36 +196,31 @@ def resample(t: FloatArray, values: FloatArray, Ts: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Trend:
-    """What was taken off the signals: offset + slope·t, t in seconds since the start of the file."""
+class Drift:
+    """A drift of the signals: slope·(t − middle), t in seconds since the start of the file."""
 
-    offset: FloatArray
-    """At t = 0, (c,), physical units."""
     slope: FloatArray
-    """Per second, (c,)."""
+    """Per second, (c,), physical units."""
+    middle: float
+    """When it is zero [s]."""
 
     def at(self, t: FloatArray) -> FloatArray:
-        """The trend (K, c) at times t (K,), to be added again."""
-        return self.offset + np.outer(t, self.slope)
+        """The drift (K, c) at times t (K,)."""
+        return np.outer(t - self.middle, self.slope)
 
 
-def fit_trend(parts: Sequence[tuple[FloatArray, FloatArray]], kind: str) -> Trend | None:
-    """The mean or the least-squares line of all parts (t, values (K, c)) together; None for kind "none".
+def fit_drift(parts: Sequence[tuple[FloatArray, FloatArray]]) -> Drift:
+    """The least-squares line of all parts (t, values (K, c)) together, without the mean.
 
-    It is to be fitted on training parts only, and taken off the others as it is: a line goes on beyond the part that it
+    It is to be fitted on training parts only, and taken off the others as it is: it goes on beyond the part that it
     was fitted to, in a file of its own from that file's start. A drift that does not go on like that is none to
-    take off by a line: use "constant".
+    take off by a line.
     """
-    if kind == "none":
-        return None
     t = np.concatenate([t for t, _ in parts])
     values = np.concatenate([values for _, values in parts])
-    mean = values.mean(axis=0)
-    if kind == "constant":
-        return Trend(mean, np.zeros_like(mean))
-    centred = t - t.mean()
-    slope = centred @ (values - mean) / (centred @ centred)
-    return Trend(mean - slope * t.mean(), slope)
+    middle = float(t.mean())
+    centred = t - middle
+    return Drift(centred @ (values - values.mean(axis=0)) / (centred @ centred), middle)
 
 
 Split: TypeAlias = tuple[float, float, float]

@@ -31,7 +31,12 @@ RECORD_OPTIONS: dict[str, Any] = {
     "split": _option(str, "--split", "60/20/20", "Train/validation/test of each file, percent, in time order."),
     "val": _option(list[str], "--val", "FILE …", "Files that validate, instead of a part of each."),
     "test": _option(list[str], "--test", "FILE …", "Files that test."),
-    "detrend": _option(str, "--detrend", "none|constant|linear", "Take off a mean or line, fitted on train only."),
+    "detrend": _option(
+        str,
+        "--detrend",
+        "none|constant|linear",
+        "constant: models about the mean; linear: take off a drift (of train).",
+    ),
     "init_window": _option(int, "--init-window", "W", "Find x(0) from the first W outputs, which are not scored."),
     "sheet": _option(str, "--sheet", "NAME", "Sheet of an Excel file."),
     "name": _option(str, "--name", "NAME", "Name that results are kept under (default: the file's)."),

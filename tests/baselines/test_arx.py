@@ -1,8 +1,8 @@
-"""The test for a feedthrough has its level, also on nonlinear systems, and its power."""
+"""The test for a feedthrough has its level and power; where outputs rest is told, and only where it is sure."""
 
 import numpy as np
 import pytest
-from nnss_cli.baselines.arx import feedthrough_p_value
+from nnss_cli.baselines.arx import feedthrough_p_value, steady_estimate, steady_outputs
 from nnss_cli.datasets.record import Record
 
 
@@ -69,3 +69,75 @@ def test_data_that_tell_nothing_are_no_reason_to_try() -> None:
     assert feedthrough_p_value((constant,)) == 1.0
     still = Record(np.ones((100, 1)), np.random.default_rng(0).standard_normal((100, 1)), 1.0)
     assert feedthrough_p_value((still,)) > 0.01
+
+
+def from_rest(random: np.random.Generator, K: int, noise: float, r: int = 1, m: int = 1) -> tuple[Record, np.ndarray]:
+    """A linear plant at rest until the inputs step, with offsets; its outputs at rest under the mean inputs."""
+    u = np.repeat(random.uniform(0, 8, (K // 40 + 1, r)), 40, axis=0)[:K]
+    u[:40] = 0
+    A, B, C = 0.9 * np.eye(2) + [[0, 0.05], [0, 0]], random.standard_normal((2, r)), random.standard_normal((m, 2))
+    offset, x, y = 10 * random.standard_normal(m), np.zeros(2), np.empty((K, m))
+    for k in range(K):
+        y[k] = C @ x + offset
+        x = A @ x + B @ u[k]
+    rest = C @ np.linalg.solve(np.eye(2) - A, B) @ u.mean(axis=0) + offset
+    return Record(u, y + noise * y.std(axis=0) * random.standard_normal(y.shape), 1.0), rest - y.mean(axis=0)
+
+
+@pytest.mark.parametrize(("r", "m"), [(1, 1), (2, 1), (1, 2), (2, 3)])
+def test_where_a_plant_from_rest_would_rest_is_exact_without_noise(r: int, m: int) -> None:
+    for seed in range(10):
+        given, off = from_rest(np.random.default_rng(seed), 300, 0.0, r, m)
+        np.testing.assert_allclose(steady_outputs((given,)), off, rtol=1e-5, atol=1e-8)
+        halves = given[:150], given[150:]
+        mean = steady_outputs(halves) + np.concatenate([half.y for half in halves]).mean(axis=0)
+        np.testing.assert_allclose(mean, off + given.y.mean(axis=0), rtol=1e-5)
+
+
+def test_with_noise_it_is_nearer_than_the_mean_and_told_where_it_is_sure() -> None:
+    left, taken = [], 0
+    for seed in range(100):
+        given, off = from_rest(np.random.default_rng(seed), 300, 0.02)
+        found = steady_outputs((given,))
+        left.append(np.abs(found - off)[0] / np.abs(off)[0])
+        taken += found[0] != 0
+    assert taken > 70
+    assert np.median(left) < 0.2
+
+
+def test_its_standard_error_is_that_over_many_records_of_such_a_model() -> None:
+    """A third too small on records as short as this."""
+    random, scores = np.random.default_rng(7), []
+    for _ in range(300):
+        u = np.repeat([0.0, 3, 9], 40)[:, None]
+        y = np.zeros((120, 1))
+        for k in range(1, 120):
+            y[k] = 0.9 * y[k - 1] + 0.5 * u[k - 1] + 0.3 * random.standard_normal()
+        found, deviation = steady_estimate((Record(u, y, 1.0),))
+        scores.append((found[0] - (5 * u.mean() - y.mean())) / deviation[0])
+    assert 0.8 < np.std(scores) < 1.5
+
+
+def test_a_record_that_moves_around_its_means_keeps_them() -> None:
+    """A nonlinear plant under noise: 3 in 1000 would be the level; over 7 of 400 have a probability below 0.1 %."""
+    random = np.random.default_rng(5)
+    assert sum(steady_outputs((record(random, 300, 0.0, 1, 2, 5),)).any() for _ in range(400)) <= 7
+
+
+def test_units_and_offsets_move_a_steady_output_with_them() -> None:
+    given, off = from_rest(np.random.default_rng(0), 300, 0.01)
+    found = steady_outputs((given,))
+    assert found == pytest.approx(off, rel=0.3)
+    scaled = Record(1e3 * given.u + 5e4, 1e-4 * given.y - 7, 1.0)
+    np.testing.assert_allclose(steady_outputs((scaled,)), 1e-4 * found, rtol=1e-4)
+
+
+def test_where_there_is_no_rest_or_nothing_is_told_it_is_the_mean() -> None:
+    random = np.random.default_rng(0)
+    u = 1 + random.standard_normal((300, 1))
+    constant = np.ones((100, 1))
+    for each in (
+        Record(u, np.cumsum(u, axis=0), 1.0), Record(u[:5], u[:5], 1.0), Record(constant, constant, 1.0),
+        Record(u, np.cumsum(u, axis=0) + 0.01 * random.standard_normal(u.shape), 1.0),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(steady_outputs((each,)), 0)

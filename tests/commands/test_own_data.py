@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import nnss_cli
+
 K = 240
 QUICK = ("--methods", "n4sid", "ssregest", "--orders", "1", "2")
 
@@ -244,3 +246,56 @@ def test_bad_input_is_one_line_and_nothing_is_written(line: str, words: list[str
     for word in words:
         assert word in outcome.err
     assert sorted(Path().rglob("*")) == before
+
+
+def step_test(seed: int = 0, samples: int = 600) -> pd.DataFrame:
+    """A second-order plant of gain 1 that is at rest until its input steps, and ends elsewhere."""
+    u = np.repeat([0.0, 5, 5, 8, 3, 6], samples // 6)
+    x = np.zeros((samples, 2))
+    for k in range(samples - 1):
+        x[k + 1] = [0.97 * x[k, 0] + 0.03 * u[k], 0.95 * x[k, 1] + 0.05 * x[k, 0]]
+    return pd.DataFrame({"u": u, "y": x[:, 1] + 0.02 * np.random.default_rng(seed).standard_normal(samples)})
+
+
+def test_a_step_test_from_rest_needs_no_offset_of_a_models_own(here: Path) -> None:
+    """About the mean no linear model fits it, of whatever order; the data are the same to a reader either way."""
+    table = step_test()
+    table.to_csv("steps.csv", index=False)
+    how = {"inputs": ["u"], "outputs": ["y"], "Ts": 1.0, "init_window": 10}
+    found = nnss_cli.fit("steps.csv", method="ssest", order=2, out="free", **how)
+    kept = nnss_cli.fit("steps.csv", method="ssest", order=2, out="kept", detrend="constant", **how)
+    errors = {}
+    for name, model in (("free", found), ("kept", kept)):
+        (test,) = model.records()["test"]
+        np.testing.assert_array_equal(test.y[:, 0], table.y[480:])
+        errors[name] = np.sqrt(np.mean((model.simulate(test.u, test.y[:10]).y - test.y)[10:] ** 2))
+        simulated = model.simulate(table.u, table.y[:10]).y[10:, 0]  # new records as they are
+        errors[name + " all"] = np.sqrt(np.mean((simulated - table.y[10:]) ** 2))
+    assert errors["free"] < 0.04
+    assert errors["free all"] < 0.06
+    assert errors["kept"] > 4 * errors["free"]
+    (note,) = [each for each in found.origin.notes if "rests under the mean input" in each]
+    assert note.startswith("y: models are about ")
+    rest = table.u[:360].mean()  # of gain 1
+    assert float(note.split()[4].rstrip(",")) == pytest.approx(rest, abs=0.15)
+    assert f"{table.y[:360].mean():.5g}" in note
+    assert not any("mean input" in each for each in kept.origin.notes)
+    assert kept.scaling.y_mean == pytest.approx(table.y[:360].mean())
+
+
+def test_a_model_of_signals_without_a_drift_takes_records_without_it(here: Path) -> None:
+    table = plant(0)
+    drift = 0.05 * (table.t - table.t[:144].mean())
+    table.assign(level=table.level + drift).to_csv("plant.csv", index=False)
+    model = nnss_cli.fit(
+        "plant.csv", method="n4sid", order=1, inputs=["valve", "pump"], outputs=["level"], Ts=0.1, detrend="linear"
+    )
+    fresh = plant(3)
+    y = model.simulate(fresh[["valve", "pump"]], fresh.level[0]).y[:, 0]
+    assert np.sqrt(np.mean((y - fresh.level) ** 2)) < 0.1
+    (note,) = [each for each in model.origin.notes if "drift" in each]
+    slopes = {
+        part.split()[0]: float(part.split()[1].split("/")[0]) for part in note.split(": ")[1].split("; ")[0].split(", ")
+    }
+    assert slopes["level"] == pytest.approx(np.polyfit(table.t[:144], (table.level + drift)[:144], 1)[0], rel=1e-3)
+    assert set(slopes) == {"valve", "pump", "level"}
