@@ -86,7 +86,7 @@ def check_agreement(Ts: float, found: float, what: str) -> None:
     Raises:
         InputError: names both.
     """
-    if abs(found - Ts) > AGREEMENT * Ts:
+    if not abs(found - Ts) <= AGREEMENT * Ts:
         raise InputError(f"{what}: sampling time {found:.9g} s, expected {Ts:.9g} s: leave one out, or resample")
 
 

@@ -12,7 +12,7 @@ import re
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 import numpy as np
 import pandas as pd
@@ -147,16 +147,16 @@ def read_text(path: Path) -> pd.DataFrame:
 
 
 def _open(path: Path) -> TextIO:
-    with path.open("rb") as stream:
+    opened: Any = gzip.open if path.suffix.lower() == ".gz" else open
+    with opened(path, "rb") as stream:
         start = stream.read(2)
     encoding = "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    if path.suffix.lower() == ".gz":
-        return gzip.open(path, "rt", encoding=encoding)
-    return path.open(encoding=encoding)
+    return cast(TextIO, opened(path, "rt", encoding=encoding))
 
 
-def _lines(path: Path, stream: TextIO, skipped: int = 0) -> Iterator[tuple[int, str]]:
-    number = 0
+def _lines(path: Path, stream: TextIO, delimiter: str, skipped: int = 0) -> Iterator[tuple[int, str]]:
+    """Lines that are neither blank nor comments, each with its number; between tabs a sample may be missing."""
+    number, blanks = 0, None if delimiter != "\t" else " \r\n"
     try:
         while line := stream.readline(LONGEST_LINE):
             number += 1
@@ -165,7 +165,7 @@ def _lines(path: Path, stream: TextIO, skipped: int = 0) -> Iterator[tuple[int, 
                     f"'{path.name}' row {number}: more than {LONGEST_LINE} characters: expected a row of numbers; end "
                     "each row by a line break, or give the file its right suffix"
                 )
-            if number > skipped and line.strip() and not line.lstrip().startswith("#"):
+            if number > skipped and line.strip(blanks) and not line.lstrip().startswith("#"):
                 yield number, line
     except UnicodeDecodeError as error:
         raise InputError(
@@ -177,7 +177,7 @@ def _lines(path: Path, stream: TextIO, skipped: int = 0) -> Iterator[tuple[int, 
 def _rows(path: Path, delimiter: str, skipped: int = 0) -> Iterator[tuple[int, list[str]]]:
     """The rows as cells, each with its line's number; comments and blank lines are left out."""
     with _open(path) as stream:
-        lines = _lines(path, stream, skipped)
+        lines = _lines(path, stream, delimiter, skipped)
         if delimiter == " ":
             for number, line in lines:
                 yield number, _between_blanks(line)
@@ -209,7 +209,7 @@ def _between_blanks(line: str) -> list[str]:
 def _layout(path: Path) -> Layout:
     source = f"'{path.name}'"
     with _open(path) as stream:
-        sample = [line for _, line in zip(range(SAMPLE), _lines(path, stream), strict=False)]
+        sample = [line for _, line in zip(range(SAMPLE), _lines(path, stream, " "), strict=False)]
     if not sample:
         raise InputError(f"{source} is empty: expected rows of samples")
     lines = [line.strip() for _, line in sample]
@@ -322,7 +322,7 @@ def _has_short_row(path: Path, layout: Layout, table: pd.DataFrame) -> bool:
     if not suspects:
         return False
     with _open(path) as stream:
-        for number, line in _lines(path, stream, layout.skipped):
+        for number, line in _lines(path, stream, layout.delimiter, layout.skipped):
             if number in suspects and _count(line, layout.delimiter) != len(layout.names):
                 return True
     return False

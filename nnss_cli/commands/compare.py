@@ -65,7 +65,7 @@ def command(
     workers = opt.check_counts(seeds, jobs)
     if scheduler:
         workers = 1  # how many a cluster has is not ours to know: times are those of one
-    limits = Limits(time_limit, None if memory_limit is None else int(memory_limit * 1e9))
+    limits = Limits(time_limit, None if memory_limit is None else memory_limit * 1e9)
     opt.check_executor(executor, scheduler)
     chosen = select(methods or [])
     ready_data = ready(dataset, protocol, mirror, offline, own or {})

@@ -6,11 +6,14 @@ import fnmatch
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, unknown
 from nnss_cli.experiment.agreement import agreeing, unlike
-from nnss_cli.experiment.run import RunResult
+from nnss_cli.experiment.run import RunResult, Status
 from nnss_cli.experiment.store import Store, stores
+
+STATUSES = (*get_args(Status), "damaged")
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,13 @@ def entries(out: Path, patterns: Sequence[str] = (), statuses: Sequence[str] = (
         out: the results folder.
         patterns: globs of names, or of labels where they have no '/'; all where empty.
         statuses: of those wanted; 'damaged' for those that cannot be read. All where empty.
+
+    Raises:
+        InputError: there is no such status.
     """
+    for status in statuses:
+        if status not in STATUSES:
+            raise unknown("status", status, STATUSES)
     found = []
     for store in stores(out):
         read = store.read()

@@ -61,18 +61,18 @@ class Limits:
 
     seconds: float | None = None
     """Wall time from the start of its fit."""
-    bytes: int | None = None
+    bytes: float | None = None
     """Memory of its process, libraries included."""
 
     def __post_init__(self) -> None:
         """Refuse what nothing can keep to.
 
         Raises:
-            InputError: a limit is not positive.
+            InputError: a limit is not a positive number.
         """
-        if self.seconds is not None and not self.seconds > 0:
+        if self.seconds is not None and not 0 < self.seconds < math.inf:
             raise InputError(f"--time-limit: expected a positive number of seconds, found {self.seconds:g}")
-        if self.bytes is not None and not self.bytes > 0:
+        if self.bytes is not None and not 0 < self.bytes < math.inf:
             raise InputError(f"--memory-limit: expected a positive number of GB, found {self.bytes / 1e9:g}")
 
     def require_supported(self) -> None:

@@ -357,9 +357,9 @@ def _cells(table: pd.DataFrame, method: str, order: int, output: str) -> dict[st
 def _explanation(results: Sequence[RunResult]) -> str:
     notes = list(dict.fromkeys(note for result in results for note in result.notes))
     lines = [
-        "Free simulation from the first output sample, physical units. Statistics are over seeds; a run without a "
-        "result counts as ∞ in medians and quartiles. The best run is chosen on validation, never on test. Every "
-        "number is rebuilt from `runs/` by `nnss report`."
+        "Free simulation from the first output sample, or from those of an init window, which are not scored; physical "
+        "units. Statistics are over seeds; a run without a result counts as ∞ in medians and quartiles. The best run "
+        "is chosen on validation, never on test. Every number is rebuilt from `runs/` by `nnss report`."
     ]
     lines.append(SIGMA_AND_FIT)
     if several_outputs(results):

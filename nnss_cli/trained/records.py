@@ -117,9 +117,12 @@ def _columns(
             f"'{path.name}': expected the columns {', '.join(names)}, the model's channels, found "
             f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: rename what stands for {', '.join(missing)}"
         ) from error
+    stamped = [str(column) for column in table.columns][-1]
+    if time is not None and stamped in names:
+        raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
     if time is not None:
-        found = uniform_Ts(times(table, str(table.columns[-1])), lambda k: place(table, k))
+        found = uniform_Ts(times(table, stamped), lambda k: place(table, k))
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model")
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model")

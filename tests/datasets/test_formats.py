@@ -166,6 +166,26 @@ def test_rows_are_counted_as_in_the_file(tmp_path: Path) -> None:
         numbers(read_table(no_comment), "y")
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize("between", ["", "\n", "# a comment\n", "  \n"])
+def test_a_row_of_missing_samples_is_a_row_whatever_stands_between(mark: str, between: str, tmp_path: Path) -> None:
+    rows = [f"u{mark}y\n", f"1{mark}2\n", f"{mark}\n", f"3{mark}4\n"]
+    (tmp_path / "a.tsv").write_text(between.join(rows) + between)
+    table = read_table(tmp_path / "a.tsv")
+    np.testing.assert_array_equal(table.to_numpy(), [[1, 2], [np.nan, np.nan], [3, 4]])
+    step = 1 + bool(between)
+    assert list(table.index) == [1 + step, 1 + 2 * step, 1 + 3 * step]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_text_in_gzip_is_of_the_same_encodings(encoding: str, tmp_path: Path) -> None:
+    content = "u,y\n1,2\n3,4\n".encode(encoding)
+    (tmp_path / "a.csv").write_bytes(content)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(content))
+    for name in ("a.csv", "a.csv.gz"):
+        np.testing.assert_array_equal(read_table(tmp_path / name).to_numpy(), [[1, 2], [3, 4]])
+
+
 def test_a_row_of_excel_is_the_sheet_s(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     book.active.title = "first"

@@ -146,6 +146,8 @@ def test_runs_are_found_by_pattern_and_status(tmp_path: Path) -> None:
     assert found(statuses=("ok",)) == everything[:2]
     assert found(statuses=("failed", "damaged")) == everything[2:]
     assert found("nnss-*", statuses=("ok",)) == everything[1:2]
+    with pytest.raises(InputError, match="status 'foo'"):
+        found(statuses=("ok", "foo"))
     *_, damaged = entries(tmp_path)
     assert damaged.result is None
     assert "run.json" in damaged.fault

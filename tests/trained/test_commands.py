@@ -15,6 +15,7 @@ from nnss_cli.datasets.record import Channels, Record, Simulation
 from nnss_cli.errors import InputError
 from nnss_cli.methods import compiled
 from nnss_cli.model.nnss import NNSS
+from nnss_cli.modelfile import FORMAT
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
 from nnss_cli.trained.simulate import MARGIN, Simulated, beyond_training, require_finite
@@ -164,6 +165,8 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folde
         (("--ts", "0.1"), "sampling time 0.1 s, expected 0.5 s"),
         (("--start", "middle"), "unknown start 'middle': choose from outputs, rest"),
         (("--time", "clock"), "no column 'clock'"),
+        (("--time", "u1"), "expected another column than a channel's for the time, found 'u1'"),
+        (("--ts", "nan"), "against the model: sampling time nan s, expected 0.5 s"),
     ],
 )
 def test_simulate_refuses_in_one_line(
@@ -212,4 +215,4 @@ def test_show_tells_what_a_folder_holds(method: str, nnss: Callable, trained_fol
     assert found["scaling"]["y_std"] == pytest.approx(dataset.fitting.scaling.y_std.tolist())
     assert found["training"]["method"] == method
     assert all(found["arrays"][name]["shape"] == [1] for name in ("u_mean", "y_std"))
-    assert (found["format"], found["order"], found["init_window"]) == (2, 2, 1)
+    assert (found["format"], found["order"], found["init_window"]) == (FORMAT, 2, 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -171,6 +172,12 @@ def test_the_basis_leaves_half_of_the_room_there_is_and_scales_no_further() -> N
         least = np.sqrt((max(own) ** 2 + 1) / 2)  # what the parts have by themselves, at most
         assert 1 - norm(1.0) >= (1 - least) / 2 * 0.9
         assert norm(2.0) > norm(1.0)
+        upstream = slice(given.downstream, None)
+        seen = float(np.linalg.norm(given.plain.G[:, upstream] @ np.linalg.inv(T[upstream, upstream]), 2))
+        weights = [2 * share / seen for share in module.SHARES]
+        half = (1 - min(norm(delta, weight=each) for delta in module.DELTAS for each in weights)) / 2
+        larger = module.DELTAS[0] / module.DELTAS[1]
+        assert all(1 - norm(larger, weight=each) <= half for each in weights)
     assert basis(given.plain, given.downstream, layer(5, 4, gain=1e-6).architecture) is None  # no such gain
 
 
@@ -325,6 +332,25 @@ def test_derivatives_are_found_ahead_with_two_threads_alone(threads: int, monkey
     problem = Problem(given, signal, signal, False, threads)
     problem.evaluate(np.concatenate([problem.whole[problem.chosen], np.zeros(5)]))
     assert bool(used) == (threads == 2)
+
+
+def test_the_rounds_are_those_that_are_told() -> None:
+    (first, _), (more, four), (last, two) = module.ROUNDS
+    told = " ".join((Path(__file__).parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8").split())
+    words = {4: "four", 2: "two"}
+    assert (
+        f"Each division has {first} iterations on the first stage, the best {words[four]} {more} more, the best "
+        f"{words[two]} {last}."
+    ) in told
+
+
+@pytest.mark.parametrize("w", [1, 10])
+def test_a_validation_error_leaves_out_the_samples_that_tell_the_start(w: int, between: FittingData) -> None:
+    (val,) = between.normalised()[1]
+    given, E, e = random_cascade(2, 0.7, 0.5), np.full((5, 1), 0.2), np.full(5, 0.1)
+    x0 = given.state_from(val.u, val.y[:w], E @ val.y[0] + e, 2 * np.eye(5))
+    errors = given.outputs(val.u, given.states(val.u, x0)) - val.y
+    assert given.validated([val], w, E, e, 2 * np.eye(5)) == pytest.approx(np.mean(errors[w if w > 1 else 0 :] ** 2))
 
 
 def test_an_iterate_is_judged_with_the_spread_of_its_own_states(

@@ -17,7 +17,7 @@ from nnss_cli.model.architecture import SCHEDULING, STABILITIES, Architecture
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import regress_encoder
 from nnss_cli.training.fast import FastEngine
-from nnss_cli.training.feedback import GAIN, Feedback, Problem, feedback_start, fit_feedback
+from nnss_cli.training.feedback import GAIN, ITERATIONS, PATIENCE, Feedback, Problem, feedback_start, fit_feedback
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 from nnss_cli.training.warm import linear_start
@@ -118,6 +118,49 @@ def test_an_iterate_without_a_basis_is_not_taken_and_of_several_bases_the_smalle
     assert other is not None
     np.testing.assert_array_equal(several[1], alone[1])
     assert not np.array_equal(several[1], other[1])
+
+
+def test_samples_that_tell_the_start_are_not_scored(
+    records: tuple[Record, Record], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train, val = records
+    linear = linear_start((train,), (val,), 2, 1.0)
+    monkeypatch.setattr(Feedback, "state_from", lambda *_: np.zeros(2))
+    wild = val.y.copy()
+    wild[:10] = 1e9  # beside its square no other error counts
+    one, other = (fit_feedback(linear, (train,), (Record(val.u, y, 1.0),), 1.0, 1e-5, 2.0, 10) for y in (val.y, wild))
+    assert one is not None
+    assert other is not None
+    np.testing.assert_array_equal(one[1], other[1])
+
+
+def test_an_iterate_must_be_ahead_of_the_linear_model_from_either_encoder() -> None:
+    """The map given is poor on validation, and nothing where training begins at rest: one step is no progress, then."""
+    plant = LinearStateSpace(
+        np.array([[0.9, 0.2], [-0.2, 0.8]]), np.array([[0.0], [0.5]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)), 1.0
+    )
+    refused = 0
+    for seed in range(10):
+        random, records = np.random.default_rng(seed), []
+        for x0 in (np.zeros(2), np.array([0.0, 1.0])):
+            u = random.standard_normal((300, 1))
+            y = plant.simulate(u, x0)[0]
+            y[1:] += 0.3 * random.standard_normal((299, 1))
+            y[0] = len(records)
+            records.append(Record(u, y, 1.0))
+        once = iter([True, False])
+        found = fit_feedback(
+            (plant, np.array([[50.0], [50.0]])), (records[0],), (records[1],), 1.0, 1e-5, 2.0,
+            bases=lambda _: iter([(0.5, np.eye(2))]), in_time=lambda once=once: next(once, False),
+        )  # fmt: skip
+        refused += found is None
+    assert refused > 2
+
+
+def test_the_starts_numbers_are_those_that_are_told() -> None:
+    told = " ".join((Path(__file__).parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8").split())
+    assert f"taken, of at most {ITERATIONS}, {PATIENCE} without a better one;" in told
+    assert f"g is drawn around {GAIN[0]:g}." in told
 
 
 def test_a_basis_leaves_room_for_epsilon() -> None:
