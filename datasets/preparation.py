@@ -22,8 +22,8 @@ JITTER = 0.01
 """A time axis is uniform if no step differs from their median by more than this part of it."""
 AGREEMENT = 1e-3
 """Two sampling times are one if they differ by no more than this part."""
-ATTENUATION = 60.0
-"""Of the anti-alias filter above the new Nyquist frequency [dB]; its ripple below is the same, 0.1 %."""
+ATTENUATION = 60.5
+"""Of the anti-alias filter, by Kaiser's formula [dB]: 60 above the new Nyquist frequency, for all N; 0.1 % below."""
 TRANSITION = 0.2
 """Width of the filter's transition band below the new Nyquist frequency, as a part of it."""
 HALF_LENGTH = 19

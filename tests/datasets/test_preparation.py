@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from nnss_cli.datasets import preparation
 from nnss_cli.datasets.preparation import (
     check_agreement,
     check_complete,
@@ -107,6 +108,33 @@ def test_decimation_is_scipy_s_in_the_passband() -> None:
     slow = sum(random.standard_normal() * np.sin(w * t + 6 * random.random()) for w in np.linspace(0.01, 0.4, 9))
     ours, theirs = downsample(slow[:, None], 4)[:, 0], decimate(slow, 4, ftype="fir", n=400)
     np.testing.assert_allclose(ours[60:-60], theirs[60:-60], atol=0.02 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize("N", [2, 3, 10, 50])
+def test_the_filter_is_flat_and_down_where_it_is_said_to_be(N: int) -> None:
+    """Its impulse response, put together from what it makes of impulses at each of N samples."""
+    K, taps = 100 * N, np.zeros(100 * N)
+    for shift in range(N):
+        impulse = np.zeros((K, 1))
+        impulse[50 * N + shift] = 1
+        taps[-shift % N :: N] = np.roll(downsample(impulse, N)[:, 0], -(shift > 0))
+    size = np.abs(np.fft.rfft(taps, 64 * K))
+    frequency = np.linspace(0, N, len(size))  # over the new Nyquist frequency
+    assert np.abs(size[frequency <= 0.8] - 1).max() < 1e-3
+    assert size[frequency >= 1].max() < 1e-3
+    assert size[frequency >= 1].max() > 0.8e-3
+
+
+@pytest.mark.parametrize("Ts", [0.2, 0.37, 2.0])
+def test_a_coarser_grid_goes_by_one_eight_times_finer_than_the_samples(
+    Ts: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[int, int]] = []
+    monkeypatch.setattr(preparation, "downsample", lambda values, N: seen.append((len(values), N)) or values)
+    resample(np.arange(101) * 0.1, np.zeros((101, 1)), Ts)
+    ((length, q),) = seen
+    assert 8 <= q * 0.1 / Ts <= 8 + 0.1 / Ts + 1e-9  # up to the next whole number
+    assert length == pytest.approx(10 / (Ts / q) + 1, abs=1)
 
 
 def test_records_too_short_for_the_filter_are_refused() -> None:
