@@ -142,7 +142,7 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
             k = int(wrong[0])
             raise InputError(
                 f"{place(table, k)}, column '{name}': expected a time (seconds, or as 2024-01-31T12:00:00.5), "
-                f"found {shown(column.iloc[k])}"
+                f"found {shown(column.iloc[k])}: leave the column out and give the sampling time, or write it so"
             )
     elif column.dtype.kind == "M":
         stamps = column
