@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nnss_cli.baselines.arx import steady_outputs
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
 from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
@@ -69,6 +70,7 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
     if not fit or not judge:
         return OrderGuess(None, (), *counts, None)
     scaling = Scaling.of(fit)
+    scaling = replace(scaling, y_mean=scaling.y_mean + steady_outputs(fit))  # as models of own records are
     fit, judge = tuple(map(scaling.apply, fit)), tuple(map(scaling.apply, judge))
     r, m = fit[0].input_count, fit[0].output_count
     sigma = _hankel(fit, r + m, m)
@@ -82,7 +84,8 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
             found.append(OrderCandidate(order, hankel, train_error, min(errors)))
     lowest = min((candidate.val for candidate in found), default=0.0)
     good = [candidate.order for candidate in found if candidate.val <= MARGIN * lowest]
-    constant = float(np.sqrt(np.mean(np.concatenate([record.y for record in judge]) ** 2)))
+    mean = np.concatenate([record.y for record in fit]).mean(axis=0)
+    constant = float(np.sqrt(np.mean((np.concatenate([record.y for record in judge]) - mean) ** 2)))
     return OrderGuess(good[0] if good else None, tuple(found), *counts, constant)
 
 

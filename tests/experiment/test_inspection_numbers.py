@@ -399,6 +399,20 @@ def test_inputs_are_judged_together_where_there_are_two_that_vary() -> None:
     assert joint.order == joint.largest == 50
 
 
+def test_of_a_plant_that_climbs_from_rest_the_order_is_found() -> None:
+    """About the mean of the part it is fitted on, around which it does not move, no order fits."""
+    u = np.repeat([0.0, 5, 5, 8, 3, 6, 1, 4], 100)
+    x = np.zeros((800, 2))
+    for k in range(799):
+        x[k + 1] = [0.97 * x[k, 0] + 0.03 * u[k], 0.95 * x[k, 1] + 0.05 * x[k, 0]]
+    z = np.column_stack([u, x[:, 1] + 0.002 * np.random.default_rng(0).standard_normal(800)])
+    found = guess_order([z[:500]], [z[500:]], 1)
+    assert found.suggested == 2
+    assert found.candidates[1].val < 0.05
+    deviation = z[:500, 1].std(ddof=1)
+    assert found.constant == pytest.approx(np.sqrt(np.mean((z[500:, 1] - z[:500, 1].mean()) ** 2)) / deviation)
+
+
 def test_guess_order_says_what_it_fitted_on_and_what_a_constant_would_do() -> None:
     u = noise(900)
     y = lfilter([0, 1.0], [1, -0.8], u) + 0.05 * noise(900, seed=1)
