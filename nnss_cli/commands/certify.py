@@ -65,8 +65,8 @@ def command(
     elif len(found) > 1 or len(folders) > 1:
         print_rows(summary_rows(found), f"{model}: {len(found)} models", text_columns=1)
         console.print(
-            "P proved, S sampled, R refuted, ? unknown; gains in normalised units. `nnss certify MODEL` says for which "
-            "states and inputs.", soft_wrap=True, highlight=False,
+            "P proved, S sampled, R refuted, ? unknown; gains in normalised units; * by stronger inputs than the bound "
+            "is of. `nnss certify MODEL` says for which states and inputs.", soft_wrap=True, highlight=False,
         )  # fmt: skip
         for name, certificate in found:
             for line in certificate.broken:

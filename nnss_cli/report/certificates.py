@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from nnss_cli.report.cells import Cell
 from nnss_cli.report.tables import number, promise_of
 
 if TYPE_CHECKING:  # it imports torch, which a report does without
@@ -37,11 +38,16 @@ def _claim(gain: Gain) -> str:
         bound += f" ({number(gain.attack_physical)} physical)" * (gain.attack_physical is not None)
     if gain.tightness is not None:
         bound += f"; tightness {number(gain.tightness, 2)}"
-    return bound
+    return bound + ", by stronger inputs than the bound is of" * _by_stronger_inputs(gain)
+
+
+def _by_stronger_inputs(gain: Gain) -> bool:
+    """Whether the attack is no measure of the bound, and may exceed it: its inputs are not among the bound's."""
+    return bool(gain.bound) and gain.attack is not None and gain.tightness is None
 
 
 def summary_rows(found: Sequence[tuple[str, Certificate]]) -> list[dict[str, str]]:
-    """Many models, one a row."""
+    """Many models, one a row; * after what was reached by stronger inputs than the bound is of."""
     rows = []
     for name, each in found:
         known = {s.name: SHORT[s.status] for s in each.statements}
@@ -49,7 +55,8 @@ def summary_rows(found: Sequence[tuple[str, Certificate]]) -> list[dict[str, str
             {
                 "model": name, "stability": each.stability, "ρ(A)<1": known["frozen"], "quadr.": known["quadratic"],
                 "state": known["state"], "increm.": known["incremental"], "gain ≤": number(each.gain.bound),
-                "reached": number(each.gain.attack), "tight": number(each.gain.tightness, 2),
+                "reached": Cell(number(each.gain.attack) + "*" * _by_stronger_inputs(each.gain), each.gain.attack),
+                "tight": number(each.gain.tightness, 2),
                 "incr. gain ≤": number(each.incremental_gain.bound), "broken": str(len(each.broken)),
             }
         )  # fmt: skip

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from nnss_cli.report.cells import plain
 from nnss_cli.report.certificates import certificate_rows, statement_rows, stress_rows, summary_rows
 from nnss_cli.report.tables import promise_of
 
@@ -57,6 +58,10 @@ def test_every_statement_stands_with_its_status_and_the_gains_after_it() -> None
         ({"bound": None, "bound_physical": None, "tightness": None}, "no bound; reached 1.5 (30 physical)"),
         ({"bound": 0.0, "bound_physical": 0.0, "attack": 0.0, "attack_physical": 0.0, "tightness": 0.123},
          "≤ 0 (0 physical); reached 0 (0 physical); tightness 0.12"),
+        ({"bound": 0.0, "bound_physical": 0.0, "attack": 0.0, "attack_physical": 0.0, "tightness": None},
+         "≤ 0 (0 physical); reached 0 (0 physical)"),
+        ({"attack": 2.5, "attack_physical": 50.0, "tightness": None},  # may exceed the bound, and says why
+         "≤ 2 (40 physical); reached 2.5 (50 physical), by stronger inputs than the bound is of"),
     ],
 )  # fmt: skip
 def test_a_gain_tells_what_is_known_of_it_alone(gain: dict[str, Any], claim: str) -> None:
@@ -69,6 +74,10 @@ def test_many_models_stand_one_a_row() -> None:
     first = {"model": "a", "stability": "schur", "ρ(A)<1": "P", "quadr.": "S", "state": "R", "increm.": "?",
              "gain ≤": "2", "reached": "1.5", "tight": "0.75", "incr. gain ≤": "–", "broken": "2"}  # fmt: skip
     assert rows == [first, first | {"model": "b", "incr. gain ≤": "3", "broken": "0"}]
+    stronger = SimpleNamespace(**GAIN | {"attack": 2.5, "tightness": None})
+    (marked,) = summary_rows([("a", certificate(gain=stronger))])
+    assert marked == first | {"reached": "2.5*", "tight": "–", "broken": "0"}
+    assert plain([marked])[0]["reached"] == 2.5  # for machines
 
 
 def test_a_certificate_cell_by_cell() -> None:
