@@ -16,12 +16,13 @@ from nnss_cli.errors import InputError
 SHORTEST = 3  # samples of a window: the first may only schedule, and the consistency term begins at its second
 
 
-def check_window(records: tuple[Record, ...], L: int) -> None:
+def check_window(records: tuple[Record, ...], L: int, method: str = "") -> None:
     """Refuse windows that some training record cannot fill: its samples would not be trained on.
 
     Args:
         records: training experiments.
         L: window length, samples; 0 for whole records.
+        method: that trains on them, to be named.
 
     Raises:
         InputError: a record is shorter than L or than `SHORTEST`.
@@ -31,10 +32,34 @@ def check_window(records: tuple[Record, ...], L: int) -> None:
     if K < SHORTEST:
         raise InputError(f"{name}: expected at least {SHORTEST} samples, found {K}; leave it out")
     if K < L:
+        alone = f" for all methods, --set {method}.window={K} for it alone" if method else ""
         raise InputError(
-            f"window: expected at most the {K} samples of {name}, found {L}; "
-            f"use --window {K} or less, or --window 0 for whole records"
+            f"{method}{': ' * bool(method)}window: expected at most the {K} samples of {name}, found {L}; "
+            f"use --window {K} or less{alone}, or 0 for whole records"
         )
+
+
+def chosen_window(records: tuple[Record, ...], usual: int, asked: int | None, method: str) -> int:
+    """The window length that is asked for; else the usual one, or the shortest record where that has fewer samples.
+
+    Args:
+        records: training experiments.
+        usual: samples; 0 for whole records.
+        asked: likewise; None where nothing is asked for.
+        method: that trains on them, to be named.
+
+    Raises:
+        InputError: see `check_window`.
+    """
+    L = min(usual, max(SHORTEST, min(map(len, records)))) if asked is None else asked
+    check_window(records, L, method)
+    return L
+
+
+def shortened(records: tuple[Record, ...], L: int, usual: int) -> tuple[str, ...]:
+    """The remark on a fit whose windows are the shortest record, where the usual ones are longer."""
+    short = L == min(map(len, records)) < usual
+    return (f"windows of {L} samples, the shortest training record, where {usual} are usual",) if short else ()
 
 
 def beginnings(records: tuple[Record, ...], length: int, shortest: int) -> tuple[Record, ...]:

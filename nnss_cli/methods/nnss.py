@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from nnss_cli.datasets.record import FittingData, Presets
-from nnss_cli.datasets.windows import check_window
+from nnss_cli.datasets.windows import chosen_window, shortened
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods.options import chosen_options
 from nnss_cli.methods.protocol import Fit, Method, Model, Settings
@@ -71,7 +71,7 @@ class NNSS(Method):
         if recipe.initial == "auto" and "initial" not in changes and COLD & changes.keys():
             recipe = recipe.replace(initial="feedback")  # what is asked for holds for every candidate
         recipe.architecture(order, data.input_count, data.output_count)
-        check_window(data.train, recipe.window)
+        recipe = recipe.replace(window=chosen_window(data.train, known.window, changes.get("window"), self.name))
         recipe.check_encoder_window(data)
         # the label is the recipe's only where every field is; engines and threads compute the same
         own = {f.name for f in fields(Recipe)}
@@ -110,10 +110,11 @@ class NNSS(Method):
     def fit(self, data: FittingData, order: int, seed: int, settings: Settings, on_epoch: EpochCallback | None) -> Fit:
         """Train an NN-SS model."""
         from nnss_cli.training.fit import train_nnss
-        from nnss_cli.training.recipe import Recipe
+        from nnss_cli.training.recipe import Recipe, recipe_of
 
         recipe = Recipe(**{name: value for name, value in settings.items() if name != "recipe"})
         training = train_nnss(data, order, seed, recipe, on_epoch)
+        usual = recipe_of(str(settings["recipe"]).partition(",")[0], data.presets, order).window
         return Fit(
             None if training.diverged else training.model,
             epochs=training.epochs,
@@ -121,7 +122,7 @@ class NNSS(Method):
             diverged=training.diverged,
             history={"train_loss": training.train_loss, "val_rmse": training.val_rmse}
             | {f"val_rmse, {name}": [error] for name, error in training.candidates.items()},
-            remarks=training.remarks,
+            remarks=(*shortened(data.train, recipe.window, usual), *training.remarks),
         )
 
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from nnss_cli.datasets.record import FittingData, Presets
-from nnss_cli.datasets.windows import check_window
+from nnss_cli.datasets.windows import chosen_window, shortened
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods.linear import LINEAR, Horizon, chosen_horizon, subspace_model
 from nnss_cli.methods.options import chosen_options
@@ -60,8 +60,9 @@ class SIMBa(Method):
     def settings(self, data: FittingData, order: int, overrides: Settings) -> Settings:
         """Its options, and the horizons of N4SID where it starts there."""
         options = self.training(data.presets, order, overrides)
-        check_window(data.train, options.window)
-        return asdict(options) | {"horizon": chosen_horizon(data, overrides)}
+        asked = chosen_options(self.options, overrides).get("window")
+        window = chosen_window(data.train, options.window, asked, self.name)
+        return asdict(options) | {"window": window, "horizon": chosen_horizon(data, overrides)}
 
     def paper_settings(self, presets: Presets, order: int) -> Settings:
         """The paper's windows, from N4SID with MATLAB's horizons."""
@@ -82,7 +83,8 @@ class SIMBa(Method):
         start = subspace_model(data, order, settings["horizon"]) if options.start == "n4sid" else None
         training = train_simba(*data.normalised(), order, seed, options, start, on_epoch, data.init_window)
         model = None if training.diverged else LinearModel.of(training.system, data)
-        return Fit(model, training.epochs, training.diverged, training.history, best_epoch=training.best_epoch)
+        remarks = shortened(data.train, options.window, self.training(data.presets, order, {}).window)
+        return Fit(model, training.epochs, training.diverged, training.history, remarks, training.best_epoch)
 
 
 METHODS = (SIMBa(),)

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nnss_cli.datasets.catalog import BENCHMARKS, robotarm, simulated, twotank
 from nnss_cli.datasets.record import Record
-from nnss_cli.datasets.windows import Windows, check_window, sliding_windows
+from nnss_cli.datasets.windows import Windows, check_window, chosen_window, shortened, sliding_windows
 
 from nnss_cli.errors import InputError
 from nnss_cli.training.recipe import recipe_of
@@ -56,6 +57,26 @@ def test_a_record_that_cannot_fill_a_window_is_refused_by_number(refuse: object)
         refuse(counting((2, 9)), 0)
     refuse(counting((200, 79, 80)), 79)
     refuse(counting((200, 79, 80)), 0)
+
+
+def test_a_usual_window_is_shortened_to_the_shortest_record_and_one_that_is_asked_for_is_not() -> None:
+    records = counting((200, 79, 80))
+    assert [chosen_window(records, usual, None, "simba") for usual in (0, 78, 79, 80)] == [0, 78, 79, 79]
+    assert [chosen_window(records, 80, asked, "simba") for asked in (0, 3, 79)] == [0, 3, 79]
+    told = (
+        "simba: window: expected at most the 79 samples of training record 2 of 3, found 80; "
+        "use --window 79 or less for all methods, --set simba.window=79 for it alone, or 0 for whole records"
+    )
+    with pytest.raises(InputError, match=f"^{re.escape(told)}$"):
+        chosen_window(records, 80, 80, "simba")
+    with pytest.raises(InputError, match="training record 1 of 1: expected at least 3 samples, found 2; leave it out"):
+        chosen_window(counting((2,)), 80, None, "simba")
+
+
+def test_only_a_window_that_had_to_be_shortened_is_remarked() -> None:
+    records = counting((200, 79, 80))
+    assert shortened(records, 79, 80) == ("windows of 79 samples, the shortest training record, where 80 are usual",)
+    assert [shortened(records, *of) for of in ((79, 79), (40, 80), (0, 80), (0, 0))] == [(), (), (), ()]
 
 
 @given(

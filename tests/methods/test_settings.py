@@ -6,8 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 from nnss_cli.datasets.catalog import load
 
+from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
 
 GOLDEN = Path(__file__).with_name("golden_settings.json")
@@ -71,6 +73,21 @@ def test_a_recipe_is_the_papers_only_where_every_field_is() -> None:
     unscored = replace(data, init_window=20)
     seen = method.settings(unscored, 2, {"recipe": "paper", "encoder_window": 20})["recipe"]
     assert seen == "paper, changed: encoder_window"
+
+
+@pytest.mark.parametrize("name", ["simba", "nnss-paper"])
+def test_a_default_window_fits_a_short_record_and_the_fit_says_so(name: str) -> None:
+    known = load("twotank-sim").fitting
+    data = replace(known, train=(known.train[0][:48],), val=(known.val[0][:48],))
+    method = METHODS[name]
+    assert method.settings(known, 2, {})["window"] == 100
+    settings = method.settings(data, 2, {"epochs": 1})
+    assert settings["window"] == 48
+    told = "windows of 48 samples, the shortest training record, where 100 are usual"
+    assert told in method.fit(data, 2, 0, settings, None).remarks
+    assert not method.fit(data, 2, 0, method.settings(data, 2, {"epochs": 1, "window": 40}), None).remarks
+    with pytest.raises(InputError, match=f"^{name}: window: expected at most the 48 samples .* --set {name}.window=48"):
+        method.settings(data, 2, {"window": 80})
 
 
 def test_the_automatic_engine_is_the_recipes() -> None:
