@@ -1,6 +1,7 @@
 """Atomic writes: a file is there whole or not at all."""
 
 import contextlib
+import itertools
 import os
 import re
 import shutil
@@ -123,6 +124,30 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
+
+
+def places(out: Path | None, usual: str, *beside: str, force: bool = False) -> list[Path]:
+    """Where a file and those beside it go, so that nothing is replaced unasked.
+
+    Args:
+        out: the file that is asked for; None for the usual one, which gets a number where it is there already.
+        usual: its name.
+        beside: suffixes of further files of the same name.
+        force: replace what is there.
+
+    Raises:
+        InputError: a file that is asked for is there already.
+    """
+    first = Path(usual) if out is None else out
+    for number in itertools.count(1):
+        named = first.with_stem(f"{first.stem}-{number}") if number > 1 else first
+        found = [named, *(named.with_suffix(suffix) for suffix in beside)]
+        taken = [] if force else [path for path in found if path.exists()]
+        if not taken:
+            break
+        if out is not None:
+            raise InputError(f"'{taken[0]}' exists already: name another file with --out, or --force to replace it")
+    return found
 
 
 def free_space(folder: Path) -> str:

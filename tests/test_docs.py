@@ -86,6 +86,8 @@ def test_the_quick_start_runs_and_prints_what_it_says(nnss: Callable) -> None:
             done = nnss(*shlex.split(line)[1:], *(["--jobs", "1"] if " compare " in line else []))
             told, errors = told + done.out, errors + done.err
             codes.append((line.split()[1], done.code))
+            again = nnss(*shlex.split(line)[1:])
+            assert again.code == (2 if "--write" in line else done.code), (line, again.err)
     assert codes == [("inspect", 0), ("compare", 0), ("validate", 0), ("simulate", 0), ("certify", 0), ("export", 0)]
     shown, found = cells(text), cells(told)
     assert shown.keys() == found.keys()

@@ -143,6 +143,14 @@ AsCsv = Annotated[
 ]
 OUTPUT = {"quiet": Quiet, "as_json": AsJson, "as_csv": AsCsv}
 Force = Annotated[bool, typer.Option("--force", help="Do it again even if it is there.")]
+Predicted = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FILE.csv",
+        help="Where the outputs go (default: predicted.csv, with a number where that is there).",
+    ),
+]
 ModelFolder = Annotated[
     Path,
     typer.Argument(

@@ -26,9 +26,7 @@ def command(
     interval: opt.Interval = None,
     interval_by: opt.IntervalBy = "residuals",
     data: opt.FittedOn = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Where the outputs go.")] = Path(
-        "predicted.csv"
-    ),
+    out: opt.Predicted = None,
     plot: Annotated[bool, typer.Option("--plot", help="Draw them beside it, as .png.")] = False,
     time: opt.FileTime = None,
     Ts: opt.FileTs = None,
@@ -43,25 +41,21 @@ def command(
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
-    from nnss_cli.errors import InputError
-    from nnss_cli.files import require_writable, write_text
+    from nnss_cli.files import places, require_writable, write_text
     from nnss_cli.report.validation import gain_lines, guard_lines, step_rows
     from nnss_cli.trained import load, read_record
     from nnss_cli.trained.simulate import output_table
     from nnss_cli.validation.predict import predict_record
     from nnss_cli.validation.trained import forecaster
 
-    figure_path = out.with_suffix(".png")
-    for path in [out, *[figure_path] * plot]:
-        if path.exists() and not force:
-            raise InputError(f"'{path}' exists already: name another file with --out, or --force to replace it")
     trained = load(model)
     record = read_record(trained, file, time=time, Ts=Ts, sheet=sheet)
     given = None if data is None else read_record(trained, data, sheet=sheet)
+    written = places(out, "predicted.csv", *[".png"] * plot, force=force)
     predictor = forecaster(trained, given, guard)
     found = predict_record(predictor, record, horizon, interval, interval_by)
-    require_writable(out.parent)
-    write_text(out, output_table(trained, found.y, found.limits.pair if found.limits else None))
+    require_writable(written[0].parent)
+    write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
     lines = gain_lines(predictor.gains) + (
         guard_lines(found.weight, trained.channels) if found.weight is not None else []
@@ -80,8 +74,8 @@ def command(
             f"{horizon} step{'s' * (horizon != 1)} ahead{', guarded' * guard}",
             (*found.limits.pair, found.limits.name) if found.limits else None,
         )  # fmt: skip
-        save_figure(figure, figure_path)
+        save_figure(figure, written[1])
         close_figure(figure)
-    for path in [out, *[figure_path] * plot]:
+    for path in written:
         console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", files=[str(path) for path in [out, *[figure_path] * plot]])
+    emit("end", files=[str(path) for path in written])

@@ -15,9 +15,7 @@ def command(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="File with a column for each input and output, by the model's names.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Where the outputs go.")] = Path(
-        "predicted.csv"
-    ),
+    out: opt.Predicted = None,
     plot: Annotated[bool, typer.Option("--plot", help="Draw them beside it, as .png.")] = False,
     start: Annotated[
         str,
@@ -42,24 +40,21 @@ def command(
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
-    from nnss_cli.files import require_writable, write_text
+    from nnss_cli.files import places, require_writable, write_text
     from nnss_cli.trained import load, read_record
     from nnss_cli.trained.simulate import beyond_training, simulate_file, simulated_table
 
-    figure_path = out.with_suffix(".png")
-    for path in [out, *[figure_path] * plot]:
-        if path.exists() and not force:
-            raise InputError(f"'{path}' exists already: name another file with --out, or --force to replace it")
     trained = load(model)
     found = simulate_file(trained, file, start, time=time, Ts=Ts, sheet=sheet)
+    written = places(out, "predicted.csv", *[".png"] * plot, force=force)
     limits = None
     if interval is not None:
         from nnss_cli.validation.trained import simulation_limits
 
         given = None if data is None else read_record(trained, data, sheet=sheet)
         limits = simulation_limits(trained, found, interval, interval_by, given)
-    require_writable(out.parent)
-    write_text(out, simulated_table(trained, found, states, limits.pair if limits else None))
+    require_writable(written[0].parent)
+    write_text(written[0], simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
         console.print(f"Note on the training: {note}", soft_wrap=True, highlight=False)
     if found.scores:
@@ -88,8 +83,8 @@ def command(
             found.seconds(trained.Ts), found.u, found.y, found.measured, trained.channels, trained.label,
             band=(*limits.pair, limits.name) if limits else None,
         )  # fmt: skip
-        save_figure(figure, figure_path)
+        save_figure(figure, written[1])
         close_figure(figure)
-    for path in [out, *[figure_path] * plot]:
+    for path in written:
         console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", files=[str(path) for path in [out, *[figure_path] * plot]])
+    emit("end", files=[str(path) for path in written])

@@ -30,9 +30,14 @@ def command(
         ),
     ] = "",
     data: opt.FittedOn = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.png", help="Where the figures go.")] = Path(
-        "validation.png"
-    ),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.png",
+            help="Where the figures go (default: validation-RUN.png, with a number where that is there).",
+        ),
+    ] = None,
     time: opt.FileTime = None,
     Ts: opt.FileTs = None,
     sheet: opt.FileSheet = None,
@@ -46,7 +51,7 @@ def command(
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError
-    from nnss_cli.files import require_writable
+    from nnss_cli.files import places, require_writable
     from nnss_cli.report.style import FORMATS
     from nnss_cli.report.validation import gain_lines, output_rows, point_rows, residual_rows, step_rows, test_rows
     from nnss_cli.trained import load, read_record
@@ -54,12 +59,10 @@ def command(
     from nnss_cli.validation.result import as_dict
     from nnss_cli.validation.trained import forecaster, records_to_validate
 
-    if not as_json and out.suffix.removeprefix(".") not in FORMATS:
+    if out is not None and not as_json and out.suffix.removeprefix(".") not in FORMATS:
         raise InputError(
             f"--out: expected a figure, such as {out.stem}.{', .'.join(FORMATS)}, found '{out}': rename it"
         )
-    if not as_json and out.exists() and not force:
-        raise InputError(f"'{out}' exists already: name another file with --out, or --force to replace it")
     if file is not None and split:
         raise InputError("expected a FILE or --split, found both: leave one out")
     trained = load(model)
@@ -68,6 +71,9 @@ def command(
     else:
         name, records = file.name, (read_record(trained, file, time=time, Ts=Ts, sheet=sheet),)
     given = None if data is None else read_record(trained, data, sheet=sheet)
+    assert trained.folder is not None
+    usual = f"validation-{trained.folder.resolve().name}.png"
+    written = [] if as_json else places(out, usual, force=force)
     predictor = forecaster(trained, given)
     found = validate(predictor, records, name)
     if as_json:
@@ -87,10 +93,10 @@ def command(
         from nnss_cli.report.figures import close_figure, save_figure
         from nnss_cli.report.validation import draw_validation
 
-        require_writable(out.parent)
+        require_writable(written[0].parent)
         figure = draw_validation(found)
-        save_figure(figure, out)
+        save_figure(figure, written[0])
         close_figure(figure)
-        console.print(str(out), soft_wrap=True, highlight=False)
+        console.print(str(written[0]), soft_wrap=True, highlight=False)
     if not found.passed:
         raise typer.Exit(1)

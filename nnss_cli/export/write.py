@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import importlib
 import json
 import tempfile
@@ -56,12 +57,12 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
         to: one of `TARGETS`.
         out: folder for the files.
         name: of the files and of what is in them.
-        force: replace files that are there.
+        force: replace files that are there and hold something else.
 
     Raises:
         InputError: an unknown target, a package or compiler that is missing (it is named), a name that is no
-            identifier, files that are there already, a folder that cannot be written, or a model without an elementary
-            step.
+            identifier, files that are there already with other content, a folder that cannot be written, or a model
+            without an elementary step.
         ParityError: what was written computes something else; nothing is left.
     """
     if to not in _TARGETS:
@@ -84,8 +85,8 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
         write_text(Path(aside) / f"{name}.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
         made = sorted(path for path in Path(aside).iterdir() if path.is_file())
         placed = [out / path.name for path in made]
-        for path in placed:
-            if path.exists() and not force:
+        for source, path in zip(made, placed, strict=True):
+            if path.exists() and not force and not filecmp.cmp(source, path, shallow=False):
                 raise InputError(f"'{path}' exists already: name another folder with --out, or --force to replace it")
         require_writable(out)
         for source, path in zip(made, placed, strict=True):

@@ -212,6 +212,8 @@ def test_a_failed_check_leaves_no_file(
     monkeypatch.undo()
     assert export(model, target, tmp_path / "out").files
     left = {path.name for path in (tmp_path / "out").iterdir()}
+    if target != "mat":  # whose header holds the time
+        assert export(model, target, tmp_path / "out").files  # the same once more replaces nothing
     with pytest.raises(InputError, match="exists already"):
         export(other, target, tmp_path / "out")
     export(other, target, tmp_path / "out", force=True)

@@ -154,9 +154,12 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folde
     refused = nnss("simulate", trained_folder(), new, "--out", new)
     assert (refused.code, new.read_bytes()) == (2, before)
     assert "exists already" in refused.err
-    assert nnss("simulate", trained_folder(), new).code == 0
-    assert nnss("simulate", trained_folder(), new).code == 2
+    Path("predicted.csv").write_text("mine")
+    for name in ("predicted-2.csv", "predicted-3.csv"):
+        assert nnss("simulate", trained_folder(), new).out.endswith(f"{name}\n")
+    assert Path("predicted.csv").read_text() == "mine"
     assert nnss("simulate", trained_folder(), new, "--force").code == 0
+    assert Path("predicted.csv").read_bytes() == Path("predicted-2.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_validate_as_json(
 ) -> None:
     done = nnss("validate", plant_run(), new, "--json")
     found = json.loads(done.out)
-    assert not Path("validation.png").exists()
+    assert not list(Path().glob("*.png"))
     assert found["passed"] is all(test["passed"] for test in found["tests"])
     assert done.code == (0 if found["passed"] else 1), done.err
     assert (found["record"], found["samples"]) == ("new.csv", 600)
@@ -305,12 +305,39 @@ def test_a_model_that_runs_away_is_told_in_one_line(new: Path, nnss: Callable, p
 
 
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
-    assert nnss("predict", plant_run(), new).code == 0
-    assert nnss("predict", plant_run(), new).code == 2
-    assert nnss("predict", plant_run(), new, "--force").code == 0
-    Path("validation.png").write_bytes(b"mine")
-    assert "exists already" in nnss("validate", plant_run(), new).err
-    assert Path("validation.png").read_bytes() == b"mine"
+    Path("predicted.png").write_bytes(b"mine")
+    assert nnss("predict", plant_run(), new, "--plot").out.endswith("predicted-2.csv\npredicted-2.png\n")
+    assert Path("predicted.png").read_bytes() == b"mine"
+    assert nnss("predict", plant_run(), new).out.endswith("predicted.csv\n")
+    assert nnss("predict", plant_run(), new, "--force").out.endswith("predicted.csv\n")
+    refused = nnss("predict", plant_run(), new, "--plot", "--out", "predicted.csv")
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+    assert "'predicted.csv' exists already: name another file with --out, or --force" in refused.err
+
+
+def test_each_validation_has_a_figure_of_its_own(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
+    run = plant_run().name
+    first, second = f"validation-{run}.png", f"validation-{run}-2.png"
+    assert nnss("validate", plant_run(), new).out.endswith(f"\n{first}\n")
+    Path(first).write_bytes(b"mine")
+    assert nnss("validate", plant_run(), new, "--csv").code in (0, 1)
+    assert Path(second).stat().st_size > 50_000
+    refused = nnss("validate", plant_run(), new, "--out", first)
+    assert refused.code == 2
+    assert "exists already" in refused.err
+    assert Path(first).read_bytes() == b"mine"
+    assert nnss("validate", plant_run(), new, "--force").out.endswith(f"\n{first}\n")
+
+
+@pytest.mark.parametrize("command", ["simulate", "predict", "validate"])
+def test_that_a_file_exists_is_told_after_what_is_wrong_with_the_data(
+    command: str, nnss: Callable, plant_run: Callable[..., Path]
+) -> None:
+    Path("there.png").write_bytes(b"mine")
+    refused = nnss(command, plant_run(), "no.csv", "--out", "there.png")
+    assert refused.code == 2
+    assert "no.csv" in refused.err
+    assert "exists" not in refused.err
 
 
 @pytest.mark.parametrize("name", ["page", "page.txt"])

@@ -27,7 +27,8 @@ def test_the_examples_run(nnss: Callable) -> None:
         # the plant is nonlinear and the model is not, which either record shows
         assert done.code == (1 if "validate" in command else 0), (line, done.err)
         assert ("exit code 1" in comment) <= (done.code == 1)
-    assert {"predicted.csv", "predicted.png", "simulated.csv", "validation.png"} <= {p.name for p in Path().iterdir()}
+    made = {"predicted.csv", "predicted.png", "simulated.csv", "validation-n4sid-n2-s0.png"}
+    assert made <= {p.name for p in Path().iterdir()}
     names: dict[str, object] = {}
     exec(program, names)
     assert len(names["y"]) == len(record)  # type: ignore[arg-type]
