@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from nnss_cli.datasets.preparation import Where
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import (
@@ -54,6 +55,7 @@ def examine(
     Ts: float | None = None,
     time: FloatArray | Sequence[FloatArray] | None = None,
     units: Mapping[str, str] | None = None,
+    where: Sequence[Where] | None = None,
 ) -> Inspection:
     """Examine a record, or several experiments given as sequences.
 
@@ -63,6 +65,7 @@ def examine(
         Ts: sampling time [s]; None to take the time column's.
         time: instants [s] (K,) of each experiment, if there is a time column.
         units: name → unit.
+        where: names a sample of each experiment in the remarks, as its file counts it.
 
     Raises:
         InputError: columns that are no numbers, of different lengths, or that differ between experiments; Ts ≤ 0.
@@ -124,7 +127,7 @@ def examine(
         max(1, min(WINDOW, 4 * (n or 1) + longest_delay, shortest // 10)), tuple(used), (),
         tuple(_envelope(name, [data[:, i] for data in experiments], clock.Ts) for i, name in enumerate(names)),
     )  # fmt: skip
-    return dataclasses.replace(known, remarks=remarks_on(known))
+    return dataclasses.replace(known, remarks=remarks_on(known, where))
 
 
 def _read(

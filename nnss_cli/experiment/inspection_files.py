@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from nnss_cli.datasets.description import Description, read_description, write_description
-from nnss_cli.datasets.formats import find_column, numbers, read_table, times
+from nnss_cli.datasets.formats import find_column, numbers, place, read_table, times
 from nnss_cli.datasets.units import unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
@@ -82,6 +83,7 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
         fields.get("Ts"),
         [times(table, find_column(table, roles.time)) for table in tables] if roles.time else None,
         units,
+        [partial(place, table) for table in tables],
     )
     name = fields.get("name") or re.sub(r"[^A-Za-z0-9._-]+", "-", paths[0].name.removesuffix(".gz").rpartition(".")[0])
     return Seen(str(name) or "record", found, roles)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
+from nnss_cli.datasets.preparation import Where, sample
 from nnss_cli.experiment.inspection_dynamics import LAGS
 from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
 from nnss_cli.experiment.inspection_split import Split, percent
+
+_Place: TypeAlias = Callable[[int | None, int | None], str]  # experiment and sample → where that is
 
 UNEVEN = 0.01  # of a step
 STOPPED = 0.01  # share of samples at an extreme value
@@ -145,13 +148,29 @@ class Inspection:
         return dataclasses.asdict(self)
 
 
-def remarks_on(found: Inspection) -> tuple[str, ...]:
-    """The remarks: the record as a whole, its columns, its inputs, what ties them, the split."""
-    channels = [text for channel in found.channels for text in _channel(channel)]
-    return (*_record(found), *channels, *_inputs(found), *_ties(found), *_split(found))
+def remarks_on(found: Inspection, where: Sequence[Where] | None = None) -> tuple[str, ...]:
+    """The remarks: the record as a whole, its columns, its inputs, what ties them, the split.
+
+    Args:
+        found: what is known.
+        where: names a sample of each experiment; None to count samples from 1.
+    """
+
+    def at(experiment: int | None, k: int | None) -> str:
+        experiment, k = experiment or 0, k or 0
+        if where is not None:
+            return where[experiment](k)
+        return sample(k) + (f" of experiment {experiment + 1}" if len(found.samples) > 1 else "")
+
+    channels = [text for channel in found.channels for text in _channel(channel, at)]
+    return (*_record(found, at), *channels, *_inputs(found), *_ties(found), *_split(found))
 
 
-def _record(found: Inspection) -> Iterator[str]:
+def _number_of(count: int, what: str) -> str:
+    return f"{count} {what}" + ("" if count == 1 else "s")
+
+
+def _record(found: Inspection, at: _Place) -> Iterator[str]:
     clock, kinds = found.clock, {channel.role for channel in found.channels}
     for role in ("input", "output"):
         if role not in kinds:
@@ -159,16 +178,15 @@ def _record(found: Inspection) -> Iterator[str]:
     if clock.source == "unknown":
         yield "The sampling time is not known: frequencies are in cycles a sample, delays in samples."
     if clock.unreadable:
-        yield f"The time column has {clock.unreadable} values that are no instants."
+        yield f"The time column has {_number_of(clock.unreadable, 'value')} that cannot be read as a time."
     if clock.duplicates:
-        yield f"The time column has {clock.duplicates} steps of zero length."
+        yield f"The time column has {_number_of(clock.duplicates, 'step')} of zero length."
     if clock.backwards:
-        yield f"The time column goes back {clock.backwards} times."
+        yield f"The time column goes back {_number_of(clock.backwards, 'time')}."
     if clock.gaps:
-        where = f" of experiment {(clock.first_gap_experiment or 0) + 1}" if len(found.samples) > 1 else ""
         yield (
-            f"The time column has {clock.gaps} gaps (steps over 1.5 times the median), "
-            f"the first before row {clock.first_gap}{where}."
+            f"The time column has {_number_of(clock.gaps, 'gap')} (over 1.5 times the median step), "
+            f"the first before {at(clock.first_gap_experiment, clock.first_gap)}."
         )
     if clock.jitter is not None and clock.jitter > UNEVEN:
         yield f"The time column is not uniform: a step is {percent(clock.jitter)} off the median step."
@@ -186,7 +204,7 @@ def _record(found: Inspection) -> Iterator[str]:
             )
 
 
-def _channel(c: Channel) -> Iterator[str]:
+def _channel(c: Channel, at: _Place) -> Iterator[str]:
     name = f"{c.role} '{c.name}'"
     if c.kind == "empty":
         yield f"The {name} holds no number."
@@ -208,7 +226,8 @@ def _channel(c: Channel) -> Iterator[str]:
                 f"rounding noise of {percent(c.step / 12**0.5 / c.sigma)} of its σ."
             )
     if c.spikes and c.spikes <= max(1, c.samples // 100):
-        yield f"The {name} has {c.spikes} single-sample spikes, the first in row {c.first_spike}."
+        first = at(c.first_spike_experiment, c.first_spike)
+        yield f"The {name} has {_number_of(c.spikes, 'single-sample spike')}, the first at {first}."
     if c.trend is not None and c.trend_share is not None and c.trend_share > DRIFTS and c.role == "output":
         yield (
             f"A straight line over the record holds {100 * c.trend_share:.0f} % of the variance of the {name} "
@@ -229,7 +248,7 @@ def _inputs(found: Inspection) -> Iterator[str]:
                 f"a model of order {max(found.orders, default=1)} needs {needed}."
             )
         if channel.switches < 10:
-            yield f"The input '{e.input}' changes only {channel.switches} times."
+            yield f"The input '{e.input}' changes only {_number_of(channel.switches, 'time')}."
         if e.near_nyquist is not None and e.near_nyquist > FAST:
             yield (
                 f"{100 * e.near_nyquist:.0f} % of the power of the input '{e.input}' lies above 0.8 of the Nyquist "

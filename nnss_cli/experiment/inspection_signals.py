@@ -53,7 +53,7 @@ class Clock:
     gaps: int
     """Steps longer than 1.5 median steps."""
     first_gap: int | None
-    """Row (0-based, of its experiment) before which the first gap stands."""
+    """Sample (0-based, of its experiment) before which the first gap stands."""
     first_gap_experiment: int | None
     """Experiment (0-based) of the first gap."""
     unreadable: int
@@ -104,7 +104,9 @@ class Channel:
     """Single samples whose differences to both neighbours exceed 8 robust deviations (1.4826 MAD of all differences)
     in opposite directions; None where over half of the differences are equal, or the signal has few levels."""
     first_spike: int | None
-    """Row of the first of them, experiments counted on."""
+    """Sample (0-based, of its experiment) that is the first of them."""
+    first_spike_experiment: int | None
+    """Experiment (0-based) of the first of them."""
     trend: float | None
     """What a straight line, fitted over the whole record, changes from its start to its end, in σ."""
     trend_share: float | None
@@ -173,7 +175,7 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
     empty = Channel(
         name, role, unit, samples, int(sum(np.sum(gap) for gap in missing)),
         max((_longest_run(gap) for gap in missing), default=0), None, None, None, None, 0, "empty", 0,
-        None, None, None, 0.0, 0.0, None, None, None, None,
+        None, None, None, 0.0, 0.0, None, None, None, None, None,
     )  # fmt: skip
     if len(v) == 0:
         return empty
@@ -198,6 +200,8 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
         "two levels" if levels == 2 else "few levels" if levels <= FEW else "steps" if changes < 0.5 else "continuous"
     )
     spikes = _spikes(d) if levels > FEW else None
+    starts = np.cumsum([0, *(len(part) + 1 for part in parts)])  # of the experiments in x
+    at = int(np.searchsorted(starts, spikes[0], side="right")) - 1 if spikes is not None and len(spikes) else None
     trend, trend_share = _trend(x)
     return _replace(
         empty,
@@ -206,7 +210,8 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
             "levels": levels, "kind": kind, "step": finite(step * scale), "on_grid": on_grid,
             "bits": math.log2((high - low) / step + 1) if on_grid >= 0.99 else None,
             "spikes": None if spikes is None else len(spikes),
-            "first_spike": int(spikes[0]) if spikes is not None and len(spikes) else None,
+            "first_spike": None if spikes is None or at is None else int(spikes[0] - starts[at]),
+            "first_spike_experiment": at,
             "trend": trend, "trend_share": trend_share,
         },
     )  # fmt: skip
@@ -244,7 +249,7 @@ def _grid(v: FloatArray, low: float, high: float) -> tuple[int, float, float]:
 
 
 def _spikes(d: FloatArray) -> NDArray[np.intp] | None:
-    """Rows of single-sample spikes, from the differences `d` (K − 1,); None where their deviation is zero."""
+    """Samples that are spikes, from the differences `d` (K − 1,); None where their deviation is zero."""
     known = d[np.isfinite(d)]
     if len(known) < 10:
         return None

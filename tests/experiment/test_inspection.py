@@ -118,6 +118,8 @@ def test_spikes_are_counted_and_found(rows: list[int]) -> None:
     assert channel(x).spikes == 0
     x[rows] += 5.0
     assert (channel(x).spikes, channel(x).first_spike) == (len(rows), min(rows))
+    second = examine_channel("x", "output", "m", [np.zeros(30), x])
+    assert (second.spikes, second.first_spike, second.first_spike_experiment) == (len(rows), min(rows), 1)
 
 
 def test_missing_samples_are_counted_with_their_longest_gap() -> None:
@@ -377,14 +379,14 @@ def test_several_experiments_are_split_whole() -> None:
     ("change", "sentence"),
     [
         ({"u": np.ones(900)}, "The input 'u' is constant."),
-        ({"u": np.where(np.arange(900) < 450, 0.0, 1.0)}, "The input 'u' changes only 1 times."),
+        ({"u": np.where(np.arange(900) < 450, 0.0, 1.0)}, "The input 'u' changes only 1 time."),
         ({"u": np.sin(0.3 * np.arange(900))}, "The input 'u' is persistently exciting of order 2 only"),
         ({"y": np.full(900, np.nan)}, "The output 'y' holds no number."),
         ({"y": np.random.default_rng(5).standard_normal(900)}, "No response of 'y' to 'u' within"),
         ({"y": np.random.default_rng(5).standard_normal(900)}, "of the power of 'y' unexplained by any linear model"),
         ({"y": np.linspace(0, 1, 900)}, "A straight line over the record holds 100 % of the variance"),
         ({"y": np.clip(plant(900)[1], -1.0, None)}, "of the output 'y' is exactly its minimum -1"),
-        ({"y": plant(900)[1] + np.where(np.arange(900) == 5, 40, 0)}, "1 single-sample spikes, the first in row 5"),
+        ({"y": plant(900)[1] + np.where(np.arange(900) == 5, 40, 0)}, "1 single-sample spike, the first at sample 6."),
         ({"y": np.round(plant(900)[1], 0)}, "The output 'y' is quantised in steps of 1 "),
         ({"y": plant(900, bend=0.5)[1]}, "(p < 1e-16): it is nonlinear"),
         ({"y": np.where(np.arange(900) < 540, 1, -1) * plant(900)[1]}, "better than a constant would"),
@@ -407,7 +409,7 @@ def test_remarks_on_the_clock() -> None:
     t[200:] += 5.0
     found = examine({"u": u}, {"y": y}, 0.2, t)
     text = " ".join(found.remarks)
-    assert "1 gaps (steps over 1.5 times the median), the first before row 200." in text
+    assert "1 gap (over 1.5 times the median step), the first before sample 201." in text
     assert "The given Ts of 0.2 s is not the time column's median step of 0.1 s." in text
     assert "The sampling time is not known" in " ".join(examine({"u": u}, {"y": y}).remarks)
 

@@ -12,6 +12,7 @@ from nnss_cli.datasets.description import read_description
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_files import Roles, Seen, assign_roles, examine_files, suggested
 from nnss_cli.experiment.inspection_split import Part, Split
+from nnss_cli.experiment.source import ready
 
 
 def table(*columns: str, **more: Any) -> pd.DataFrame:
@@ -133,6 +134,17 @@ def test_a_description_is_inspected_alone_and_what_is_given_goes_before_it(here:
     for names in (["x.toml", "c.csv"], ["c.csv", "x.toml"]):
         with pytest.raises(InputError, match="a description is inspected alone, found 2 files"):
             examine_files(names, {})
+
+
+def test_rows_in_remarks_are_counted_as_in_the_file(here: Path) -> None:
+    """As `train` counts them: the header is row 1, comments and blank lines count."""
+    lines = Path("c.csv").read_text(encoding="utf-8").splitlines()
+    Path("gap.csv").write_text("\n".join(["# a comment", *lines[:30], "", *lines[31:]]) + "\n", encoding="utf-8")
+    told = "1 gap (over 1.5 times the median step), the first before 'gap.csv' row 33."
+    assert any(told in remark for remark in examine_files(["gap.csv"], {}).found.remarks)
+    assert any(told in remark for remark in examine_files(["c.csv", "gap.csv"], {}).found.remarks)
+    with pytest.raises(InputError, match=r"'gap\.csv' row 33: time is not uniform"):
+        ready(["gap.csv"], own={"inputs": ("u [V]",), "outputs": ("y",), "time": "t"})
 
 
 # what is recommended

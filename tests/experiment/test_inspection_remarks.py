@@ -47,11 +47,11 @@ Y, U = "channels 2", "channels 0"
 NYQUIST = "of the power of the input 'u' lies above 0.8 of the Nyquist frequency: downsampling would lose it."
 SIDES = [
     ("clock", {"source": "unknown"}, {"source": "given"}, "The sampling time is not known"),
-    ("clock", {"unreadable": 1}, {"unreadable": 0}, "The time column has 1 values that are no instants."),
-    ("clock", {"duplicates": 1}, {"duplicates": 0}, "The time column has 1 steps of zero length."),
-    ("clock", {"backwards": 1}, {"backwards": 0}, "The time column goes back 1 times."),
+    ("clock", {"unreadable": 1}, {"unreadable": 0}, "The time column has 1 value that cannot be read as a time."),
+    ("clock", {"duplicates": 1}, {"duplicates": 0}, "The time column has 1 step of zero length."),
+    ("clock", {"backwards": 1}, {"backwards": 0}, "The time column goes back 1 time."),
     ("clock", {"gaps": 1, "first_gap": 7}, {"gaps": 0},
-     "has 1 gaps (steps over 1.5 times the median), the first before row 7."),
+     "has 1 gap (over 1.5 times the median step), the first before sample 8."),
     ("clock", {"jitter": 0.0101}, {"jitter": 0.01},
      "The time column is not uniform: a step is 1 % off the median step."),
     ("clock", {"median_step": 0.1002}, {"median_step": 0.1001},
@@ -66,9 +66,9 @@ SIDES = [
     (Y, {"bits": 5.04, "step": 0.0694, "sigma": 1.0}, {"bits": 5.0, "step": 0.0692, "sigma": 1.0},
      "The output 'y' is quantised in steps of 0.0694 (5.0 bits): rounding noise of 2 % of its σ."),
     (Y, {"spikes": 9, "first_spike": 4}, {"spikes": 10, "first_spike": 4},
-     "9 single-sample spikes, the first in row 4."),
+     "9 single-sample spikes, the first at sample 5."),
     (Y, {"spikes": 1, "samples": 90, "first_spike": 4}, {"spikes": 2, "samples": 90, "first_spike": 4},
-     "1 single-sample spikes"),
+     "1 single-sample spike, the first"),
     (Y, {"trend": -1.26, "trend_share": 0.2501}, {"trend": -1.26, "trend_share": 0.25},
      "holds 25 % of the variance of the output 'y' (-1.3 σ from start to end): drift, or a slow response."),
     (Y, {"trend": 3.0, "trend_share": 0.9}, {"trend": 3.0, "trend_share": 0.9, "role": "input"},
@@ -121,7 +121,9 @@ def test_remarks_on_the_record_as_a_whole(plain: Inspection) -> None:
     (said,) = remarks_on(
         changed(replace(plain, samples=(450, 450)), "clock", gaps=2, first_gap=3, first_gap_experiment=1)
     )
-    assert said.endswith("the first before row 3 of experiment 2.")
+    assert said == (
+        "The time column has 2 gaps (over 1.5 times the median step), the first before sample 4 of experiment 2."
+    )
     without = replace(plain, channels=plain.channels[2:], excitation=(), joint=None, spectrum=None)
     assert remarks_on(without) == ("The record has no inputs.",)
     pair = (Copy("u", "y", True, 1.0, 0.0), Copy("v", "y", False, -2.0, 3.14159), Copy("u", "v", False, None, None))
