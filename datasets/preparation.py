@@ -59,8 +59,15 @@ def check_increasing(t: FloatArray, where: Where = sample) -> None:
         )
 
 
+def usual_step(steps: FloatArray) -> float:
+    """The mean of the steps within `JITTER` of their median, so that a gap does not move it, to nine digits."""
+    median = float(np.median(steps))
+    near = steps[np.abs(steps - median) <= JITTER * median]
+    return float(f"{near.mean() if len(near) else median:.9g}")
+
+
 def uniform_Ts(t: FloatArray, where: Where = sample) -> float:
-    """Sampling time of a uniform time axis: the mean step, to nine digits.
+    """Sampling time of a uniform time axis: its `usual_step`, which is the mean of all.
 
     Raises:
         InputError: some step differs from the median by more than `JITTER` (the first such is named), or time
@@ -68,16 +75,16 @@ def uniform_Ts(t: FloatArray, where: Where = sample) -> float:
     """
     check_increasing(t, where)
     steps = np.diff(t)
-    usual = float(np.median(steps))  # which a gap does not move
-    off = np.abs(steps - usual) > JITTER * usual
+    Ts, median = usual_step(steps), float(np.median(steps))
+    off = np.abs(steps - median) > JITTER * median
     if off.any():
         k = int(off.argmax())
         raise InputError(
-            f"{where(k + 1)}: time is not uniform: the step is {steps[k]:.6g} s, expected {usual:.6g} s within "
-            f"{JITTER:.0%} ({int(off.sum())} of {len(steps)} steps are off): resample (--resample {usual:.6g}), "
+            f"{where(k + 1)}: time is not uniform: the step is {steps[k]:.6g} s, expected {Ts:.6g} s within "
+            f"{JITTER:.0%} ({int(off.sum())} of {len(steps)} steps are off): resample (--resample {Ts:.9g}), "
             "or leave the time column out and give Ts where the times are only rounded"
         )
-    return float(f"{steps.mean():.9g}")
+    return Ts
 
 
 def check_agreement(Ts: float, found: float, what: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from nnss_cli.datasets.preparation import Where, sample
+from nnss_cli.datasets.preparation import AGREEMENT, Where, sample
 from nnss_cli.experiment.inspection_dynamics import LAGS
 from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
@@ -190,10 +190,9 @@ def _record(found: Inspection, at: _Place) -> Iterator[str]:
         )
     if clock.jitter is not None and clock.jitter > UNEVEN:
         yield f"The time column is not uniform: a step is {percent(clock.jitter)} off the median step."
-    if clock.source == "given" and clock.median_step is not None and clock.Ts is not None:
-        off = abs(clock.median_step - clock.Ts) / clock.Ts
-        if off > 1e-3:
-            yield f"The given Ts of {clock.Ts:g} s is not the time column's median step of {clock.median_step:g} s."
+    step, Ts = clock.step, clock.Ts
+    if clock.source == "given" and step is not None and Ts is not None and abs(step - Ts) > AGREEMENT * Ts:
+        yield f"The given Ts of {Ts:.9g} s is not the time column's usual step of {step:.9g} s."
     for copy in found.copies:
         if copy.equal:
             yield f"Columns '{copy.first}' and '{copy.second}' are equal."

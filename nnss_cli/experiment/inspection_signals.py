@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from nnss_cli.datasets.preparation import usual_step
 from nnss_cli.datasets.record import FloatArray
 
 Role: TypeAlias = Literal["input", "output"]
@@ -39,11 +40,12 @@ class Clock:
     """Sampling instants."""
 
     Ts: float | None
-    """Sampling time [s]: as given, else the median step of the time column; None where neither is there."""
+    """Sampling time [s]: as given, else the time column's `step`; None where neither is there."""
     source: Literal["given", "time column", "unknown"]
     """Where Ts comes from."""
-    median_step: float | None
-    """Median step of the time column [s]; None without one."""
+    step: float | None
+    """Usual step of the (first) time column [s], by the rule of training: mean of those within 1 % of the median, to
+    nine digits; None without one."""
     jitter: float | None
     """Largest distance of a step from the median step, relative to it."""
     duplicates: int
@@ -140,8 +142,9 @@ def examine_clock(Ts: float | None, times: Sequence[FloatArray]) -> Clock:
     steps = [np.diff(np.where(ok, time, np.nan)) for ok, time in zip(readable, times, strict=True)]
     known = [step[np.isfinite(step)] for step in steps]
     everything = np.concatenate(known) if known else np.empty(0)
-    forward = everything[everything > 1 / ENDLESS]
-    median = float(np.median(forward)) if len(forward) else None
+    forward = [step[step > 1 / ENDLESS] for step in known]
+    median = float(np.median(np.concatenate(forward))) if any(map(len, forward)) else None
+    usual = next((usual_step(step) for step in forward if len(step)), None)
     source: Literal["given", "time column", "unknown"]
     source = "given" if Ts is not None else "unknown" if median is None else "time column"
     jitter, gaps, first = None, 0, None
@@ -153,7 +156,7 @@ def examine_clock(Ts: float | None, times: Sequence[FloatArray]) -> Clock:
             if first is None and len(late):
                 first = index, int(late[0]) + 1
     return Clock(
-        median if Ts is None else Ts, source, median, jitter, int(np.sum(everything == 0)), int(np.sum(everything < 0)),
+        usual if Ts is None else Ts, source, usual, jitter, int(np.sum(everything == 0)), int(np.sum(everything < 0)),
         gaps, first[1] if first else None, first[0] if first else None, int(sum(np.sum(~ok) for ok in readable)),
     )  # fmt: skip
 

@@ -120,7 +120,7 @@ def record_rows(found: Inspection) -> list[dict[str, str]]:
     clock = found.clock
     rows = {
         "samples": " + ".join(map(str, found.samples)) or "0",
-        "Ts": "unknown" if clock.Ts is None else f"{clock.Ts:.6g} s ({clock.source})",
+        "Ts": "unknown" if clock.Ts is None else f"{clock.Ts:.9g} s ({clock.source})",
         "jitter": "–" if clock.jitter is None else percent(clock.jitter, 2) + " of a step at most",
         "split": found.split.rule,
         "orders": " ".join(map(str, found.orders)) or "–",

@@ -16,6 +16,7 @@ from nnss_cli.datasets.preparation import (
     parse_split,
     resample,
     uniform_Ts,
+    usual_step,
 )
 from scipy.signal import decimate
 
@@ -28,6 +29,11 @@ def test_Ts_is_found_under_jitter_within_the_tolerance(Ts: float, K: int, start:
     t = start * Ts + (np.arange(K) + jitter) * Ts
     assert uniform_Ts(t) == pytest.approx(Ts, rel=0.004 / (K - 1) + 1e-8)
     assert uniform_Ts(np.arange(K) * 0.1) == 0.1
+
+
+def test_the_usual_step_is_the_mean_of_those_near_the_median() -> None:
+    assert usual_step(np.array([1.0, 1.003, 1.0, 1.003, 1.0, 7.0, 0.2])) == pytest.approx(5.006 / 5)
+    assert usual_step(np.array([1.0, 3.0])) == 2.0  # none is near
 
 
 def test_the_first_place_off_the_grid_is_named_with_both_steps() -> None:

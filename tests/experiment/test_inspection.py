@@ -410,7 +410,7 @@ def test_remarks_on_the_clock() -> None:
     found = examine({"u": u}, {"y": y}, 0.2, t)
     text = " ".join(found.remarks)
     assert "1 gap (over 1.5 times the median step), the first before sample 201." in text
-    assert "The given Ts of 0.2 s is not the time column's median step of 0.1 s." in text
+    assert "The given Ts of 0.2 s is not the time column's usual step of 0.1 s." in text
     assert "The sampling time is not known" in " ".join(examine({"u": u}, {"y": y}).remarks)
 
 

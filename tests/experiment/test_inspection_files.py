@@ -1,5 +1,6 @@
 """Files as an inspection takes them: roles by name, by exclusion or as given, and the description that follows."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -145,6 +146,24 @@ def test_rows_in_remarks_are_counted_as_in_the_file(here: Path) -> None:
     assert any(told in remark for remark in examine_files(["c.csv", "gap.csv"], {}).found.remarks)
     with pytest.raises(InputError, match=r"'gap\.csv' row 33: time is not uniform"):
         ready(["gap.csv"], own={"inputs": ("u [V]",), "outputs": ("y",), "time": "t"})
+
+
+def test_the_sampling_time_is_that_of_training_and_of_its_advice(here: Path) -> None:
+    """Stamps with jitter, whose mean step is not the median one; with a gap there is the same step to resample to."""
+    t = np.cumsum(np.tile([0.5, 0.5, 0.503], 20))
+    table = pd.DataFrame({"t": t, "u": np.sin(t), "y": np.cos(t)})
+    table.to_csv("jitter.csv", index=False)
+    roles: dict[str, Any] = {"inputs": ("u",), "outputs": ("y",), "time": "t"}
+    Ts = examine_files(["jitter.csv"], roles).found.clock.Ts
+    assert Ts == ready(["jitter.csv"], own=roles).dataset.fitting.train[0].Ts != float(f"{np.median(np.diff(t)):.9g}")
+    table.to_csv("one.csv", index=False)
+    table.assign(t=t * 1.0005).to_csv("other.csv", index=False)  # of several files, the first one's
+    assert examine_files(["one.csv", "other.csv"], roles).found.clock.Ts == Ts
+    table.drop(index=30).to_csv("gap.csv", index=False)
+    found = examine_files(["gap.csv"], roles).found.clock
+    assert found.Ts == pytest.approx(Ts, rel=1e-4)
+    with pytest.raises(InputError, match=re.escape(f"resample (--resample {found.Ts:.9g})")):
+        ready(["gap.csv"], own=roles)
 
 
 # what is recommended

@@ -281,7 +281,7 @@ def test_huge_and_tiny_columns_keep_their_numbers() -> None:
         assert found.levels == 20
 
 
-def test_the_clock_of_a_good_time_column_is_its_median_step() -> None:
+def test_the_clock_of_a_good_time_column_is_its_step() -> None:
     found = examine_clock(None, [np.array([0, 0.1, 0.2, 0.3]), np.array([5.0, 5.1, 5.2])])
     assert found.source == "time column"
     assert found.Ts == pytest.approx(0.1)

@@ -87,7 +87,7 @@ def test_responses_outputs_and_orders_are_tabled() -> None:
 
 def test_the_record_is_tabled_as_a_whole() -> None:
     assert {row["record"]: row[""] for row in report.record_rows(FOUND)} == {
-        "samples": "500 + 400", "Ts": "0.123457 s (given)", "jitter": "1.2 % of a step at most",
+        "samples": "500 + 400", "Ts": "0.123456789 s (given)", "jitter": "1.2 % of a step at most",
         "split": "60/20/20 in time order", "orders": "1 2 3", "init window": "17 samples",
     }  # fmt: skip
     bare = {row["record"]: row[""] for row in report.record_rows(replace(FOUND, samples=(), clock=UNTIMED, orders=()))}
