@@ -17,6 +17,7 @@ _Place: TypeAlias = Callable[[int | None, int | None], str]  # experiment and sa
 
 UNEVEN = 0.01  # of a step
 STOPPED = 0.01  # share of samples at an extreme value
+HELD = 0.5  # share of samples held between the extremes: of a staircase, an extreme that is held tells nothing
 DRIFTS = 0.25  # share of the variance on a straight line
 COARSE = 0.02  # quantisation noise over σ
 FAST = 0.1  # of the power near the Nyquist frequency
@@ -214,7 +215,7 @@ def _channel(c: Channel, at: _Place) -> Iterator[str]:
         yield f"The {name} is constant."
     if c.levels > FEW:
         for share, extreme, value in ((c.at_minimum, "minimum", c.minimum), (c.at_maximum, "maximum", c.maximum)):
-            if share > STOPPED:
+            if share > STOPPED and c.held < HELD:
                 yield (
                     f"{percent(share)} of the {name} is exactly its {extreme} {value:.6g}, in runs of at least "
                     "three samples: look for a stop or saturation."

@@ -102,6 +102,8 @@ class Channel:
     """Share of the samples that are exactly the minimum, in runs of at least 3."""
     at_maximum: float
     """Share of the samples that are exactly the maximum, in runs of at least 3."""
+    held: float
+    """Share of the samples between minimum and maximum that equal the one before; near 1 for a staircase."""
     spikes: int | None
     """Single samples whose differences to both neighbours exceed 8 robust deviations (1.4826 MAD of all differences)
     in opposite directions; None where over half of the differences are equal, or the signal has few levels."""
@@ -178,7 +180,7 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
     empty = Channel(
         name, role, unit, samples, int(sum(np.sum(gap) for gap in missing)),
         max((_longest_run(gap) for gap in missing), default=0), None, None, None, None, 0, "empty", 0,
-        None, None, None, 0.0, 0.0, None, None, None, None, None,
+        None, None, None, 0.0, 0.0, 0.0, None, None, None, None, None,
     )  # fmt: skip
     if len(v) == 0:
         return empty
@@ -199,6 +201,7 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
         return _replace(empty, common | {"levels": 1, "kind": "constant", "sigma": 0.0 if len(v) > 1 else None})
     levels, step, on_grid = _grid(v, low, high)
     changes = switches / max(1, int(np.sum(np.isfinite(d))))
+    between = (x[1:] > low) & (x[1:] < high)
     kind = (
         "two levels" if levels == 2 else "few levels" if levels <= FEW else "steps" if changes < 0.5 else "continuous"
     )
@@ -212,6 +215,7 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
         | {
             "levels": levels, "kind": kind, "step": finite(step * scale), "on_grid": on_grid,
             "bits": math.log2((high - low) / step + 1) if on_grid >= 0.99 else None,
+            "held": float(np.mean(d[between] == 0)) if between.any() else 0.0,
             "spikes": None if spikes is None else len(spikes),
             "first_spike": None if spikes is None or at is None else int(spikes[0] - starts[at]),
             "first_spike_experiment": at,

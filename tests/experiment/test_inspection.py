@@ -110,6 +110,25 @@ def test_saturated_share_counts_runs_of_three_at_the_extremes() -> None:
     assert pairs.at_maximum == 0.0
 
 
+@pytest.mark.parametrize("role", ["inputs", "outputs"])
+def test_a_staircase_is_not_suspected_of_a_stop(role: str) -> None:
+    """Steps to thirty levels, held for 20 samples each: the largest is held as all others are."""
+    random = np.random.default_rng(0)
+    stairs = np.repeat(random.uniform(0, 1, 30), 20)
+    wave = 2.0 * np.sin(0.05 * np.arange(600))
+
+    def suspected(x: FloatArray) -> bool:
+        given: dict[str, Any] = {"inputs": {"u": random.standard_normal(600)}, "outputs": {"y": wave}}
+        return any("look for a stop" in said for said in examine(**given | {role: {"x": x}}).remarks)
+
+    assert channel(stairs).at_maximum > 0.01
+    assert channel(stairs).held == pytest.approx(19 / 20, abs=0.01)
+    assert not suspected(stairs)
+    stopped = channel(np.clip(wave, -2.0, -0.3))
+    assert (stopped.kind, stopped.held) == ("steps", 0.0)  # on the stop for most of the time
+    assert suspected(np.clip(wave, -2.0, -0.3))
+
+
 @given(st.lists(st.integers(2, 497), min_size=1, max_size=5, unique=True).filter(
     lambda rows: min(np.diff(sorted([*rows, 10**6]))) > 2
 ))  # fmt: skip

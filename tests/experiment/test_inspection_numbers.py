@@ -219,7 +219,7 @@ def test_a_column_of_twelve_samples_counted_by_hand() -> None:
     found = examine_channel("level", "output", "m", [x])
     assert found == Channel(
         "level", "output", "m", 12, 1, 1, 0.0, 3.0, 18 / 11, found.sigma, 4, "few levels", 4,
-        1.0, 1.0, 2.0, 3 / 11, 4 / 11, None, None, None, found.trend, found.trend_share,
+        1.0, 1.0, 2.0, 3 / 11, 4 / 11, 0.0, None, None, None, found.trend, found.trend_share,
     )  # fmt: skip
     assert found.sigma == pytest.approx(np.nanstd(x, ddof=1))
     known = np.flatnonzero(np.isfinite(x))

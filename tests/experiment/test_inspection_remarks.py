@@ -63,6 +63,8 @@ SIDES = [
     (Y, {"at_minimum": 0.0101, "levels": 17}, {"at_minimum": 0.01}, "1 % of the output 'y' is exactly its minimum"),
     (Y, {"at_maximum": 0.12, "maximum": 4.25, "levels": 17}, {"at_maximum": 0.12, "levels": 16},
      "12 % of the output 'y' is exactly its maximum 4.25, in runs of at least three samples: look for a stop"),
+    (Y, {"at_maximum": 0.12, "levels": 17, "held": 0.49}, {"at_maximum": 0.12, "levels": 17, "held": 0.5},
+     "look for a stop or saturation"),
     (Y, {"bits": 5.04, "step": 0.0694, "sigma": 1.0}, {"bits": 5.0, "step": 0.0692, "sigma": 1.0},
      "The output 'y' is quantised in steps of 0.0694 (5.0 bits): rounding noise of 2 % of its σ."),
     (Y, {"spikes": 9, "first_spike": 4}, {"spikes": 10, "first_spike": 4},

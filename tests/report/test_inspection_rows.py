@@ -19,10 +19,10 @@ from nnss_cli.report.figures import close_figure
 
 VALVE = Channel(
     "valve", "input", "%", 900, 3, 2, 0.0, 123456.789, 2 / 3, 1.23456, 1201, "continuous", 899,
-    0.0123456, 1.0, 11.96578, 0.01234, 0.20456, 7, 3, 0, -1.256, 0.5,
+    0.0123456, 1.0, 11.96578, 0.01234, 0.20456, 0.0, 7, 3, 0, -1.256, 0.5,
 )  # fmt: skip
 LEVEL = Channel(
-    "level", "output", "–", 900, 0, 0, None, None, None, None, 5, "few levels", 12, 0.5, 0.1, None, 0.0, 0.0,
+    "level", "output", "–", 900, 0, 0, None, None, None, None, 5, "few levels", 12, 0.5, 0.1, None, 0.0, 0.0, 0.0,
     None, None, None, None, None,
 )  # fmt: skip
 FOUND = Inspection(
