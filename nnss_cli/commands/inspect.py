@@ -33,6 +33,7 @@ def command(
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.inspection_files import examine_files, suggested
+    from nnss_cli.experiment.inspection_order import HOW_GUESSED
     from nnss_cli.files import require_writable, write_text
     from nnss_cli.report.figures import close_figure, save_figure
     from nnss_cli.report.inspection import (
@@ -59,7 +60,7 @@ def command(
             (grid_rows(seen.found), "Their grid, stops, spikes and drift", 1),
             (input_rows(seen.found), "What the inputs excite", 1), (response_rows(seen.found), "Delays", 2),
             (output_rows(seen.found), "What linear models leave unexplained", 1),
-            (order_rows(seen.found), "A first guess of the linear order (N4SID)", 1),
+            (order_rows(seen.found), f"A first guess of the linear order ({HOW_GUESSED})", 1),
         ):  # fmt: skip
             if rows:
                 print_rows(rows, what, text_columns=text)

@@ -20,6 +20,7 @@ from nnss_cli.experiment.order import MARGIN
 
 ORDER_SAMPLES = 4_000  # samples fitted on; half as many judge
 LARGEST = 6  # order tried
+HOW_GUESSED = "N4SID, 4 horizons; 'nnss order' tries all"
 
 
 @dataclass(frozen=True)

@@ -104,12 +104,12 @@ def output_rows(found: Inspection) -> list[dict[str, str]]:
 
 
 def order_rows(found: Inspection) -> list[dict[str, str]]:
-    """Orders tried, the guess marked."""
+    """Orders tried, the guess marked; RMS errors over the σ of what was fitted."""
     return [
         {
             "order": f"{c.order}{' ←' if c.order == found.order.suggested else ''}",
             "Hankel σn/σ1": "–" if c.hankel is None else f"{c.hankel:.2e}",
-            "train": number(c.train), "validation": number(c.val),
+            "train [σ]": number(c.train), "validation [σ]": number(c.val),
         }
         for c in found.order.candidates
     ]  # fmt: skip

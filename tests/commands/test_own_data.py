@@ -122,6 +122,7 @@ def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) 
     assert outcome.code == 0, outcome.err
     assert "Column 't' is taken for the time" in outcome.out
     assert "Taken for inputs: valve, pump" in outcome.out
+    assert "the linear order (N4SID, 4 horizons; 'nnss order' tries all)\norder  Hankel σn/σ1  train [σ]" in outcome.out
     assert Path("results/plant/inspection.png").stat().st_size > 10_000
     assert max(map(len, outcome.out.splitlines()[:40])) <= 81
     text = Path("plant.toml").read_text()

@@ -21,7 +21,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     responses,
     welch,
 )
-from nnss_cli.experiment.inspection_order import _hankel, guess_order
+from nnss_cli.experiment.inspection_order import HOW_GUESSED, _hankel, _horizons, guess_order
 from nnss_cli.experiment.inspection_signals import Channel, examine_channel, examine_clock, find_copies, persistency
 from nnss_cli.experiment.inspection_split import Part, recommend_split
 
@@ -429,6 +429,7 @@ def test_guess_order_says_what_it_fitted_on_and_what_a_constant_would_do() -> No
     noisy = 0.05 / data[:600, 1].std()
     assert found.candidates[0].val == pytest.approx(noisy, rel=0.3)
     assert found.candidates[0].train == pytest.approx(noisy, rel=0.3)
+    assert f"N4SID, {len(_horizons(2, 1, 1))} horizons" in HOW_GUESSED
     nothing = guess_order([data[:19]], [data[600:800]], 1)
     assert (nothing.suggested, nothing.candidates, nothing.constant) == (None, (), None)
     assert (nothing.train_samples, nothing.val_samples) == (0, 200)

@@ -79,9 +79,9 @@ def test_responses_outputs_and_orders_are_tabled() -> None:
          "p (linear)": "0.0012"}
     ]  # fmt: skip
     assert report.order_rows(FOUND) == [
-        {"order": "1", "Hankel σn/σ1": "1.00e+00", "train": "0.4321", "validation": "0.9876"},
-        {"order": "2 ←", "Hankel σn/σ1": "1.23e-02", "train": "0.1235", "validation": "0.2346"},
-        {"order": "3", "Hankel σn/σ1": "–", "train": "0.1", "validation": "0.2"},
+        {"order": "1", "Hankel σn/σ1": "1.00e+00", "train [σ]": "0.4321", "validation [σ]": "0.9876"},
+        {"order": "2 ←", "Hankel σn/σ1": "1.23e-02", "train [σ]": "0.1235", "validation [σ]": "0.2346"},
+        {"order": "3", "Hankel σn/σ1": "–", "train [σ]": "0.1", "validation [σ]": "0.2"},
     ]
 
 
