@@ -17,6 +17,7 @@ from nnss_cli.datasets.units import unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
+from nnss_cli.experiment.source import record_name
 
 _TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
@@ -85,8 +86,7 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
         units,
         [partial(place, table) for table in tables],
     )
-    name = fields.get("name") or re.sub(r"[^A-Za-z0-9._-]+", "-", paths[0].name.removesuffix(".gz").rpartition(".")[0])
-    return Seen(str(name) or "record", found, roles)
+    return Seen(fields.get("name") or record_name(paths[0]), found, roles)
 
 
 def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,11 @@ from nnss_cli.datasets.description import Description, read_description
 from nnss_cli.datasets.download import fetch, is_cached
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
+
+# letters that Unicode does not take apart into a base and a mark
+_WHOLE = str.maketrans(
+    {"ß": "ss", "Æ": "AE", "æ": "ae", "Ø": "O", "ø": "o", "Œ": "OE", "œ": "oe", "Ł": "L", "ł": "l", "Đ": "D", "đ": "d"}
+)
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,9 @@ def describe(names: Sequence[str], own: dict[str, Any], title: Callable[[str], s
             raise InputError(
                 f"{title(needed)}: expected the columns of the {needed}; 'nnss inspect {names[0]}' shows what there is"
             )
-    return Description(files=tuple(names), **{"name": _name(names[0])} | own, folder=Path.cwd(), allow_outside=True)
+    return Description(
+        files=tuple(names), **{"name": record_name(names[0])} | own, folder=Path.cwd(), allow_outside=True
+    )
 
 
 def _beside(own: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -115,10 +123,11 @@ def _beside(own: dict[str, Any], folder: Path) -> dict[str, Any]:
     return own | files | ({"allow_outside": True} if files else {}) | {"folder": folder}
 
 
-def _name(file: str) -> str:
-    """The file's name without its suffixes, as a name of results."""
-    stem = Path(file).name.removesuffix(".gz")
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", Path(stem).stem).strip(".-_") or "record"
+def record_name(file: str | Path) -> str:
+    """The file's name without suffixes and accents, "-" for what a name of results may not have."""
+    stem = Path(Path(file).name.removesuffix(".gz")).stem
+    plain = "".join(c for c in unicodedata.normalize("NFKD", stem.translate(_WHOLE)) if not unicodedata.combining(c))
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip(".-_") or "record"
 
 
 def _looks_like_a_file(name: str) -> bool:

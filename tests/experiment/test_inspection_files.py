@@ -118,6 +118,8 @@ def test_files_are_experiments_with_units_from_their_names(here: Path) -> None:
                                      "input_units": ("mV",), "output_units": ("m",)})  # fmt: skip
     assert (told.name, told.found.clock.Ts, told.found.samples) == ("mine", 2.0, (60,))
     assert [c.unit for c in told.found.channels] == ["mV", "m"]
+    (here / "-Öl.csv").write_bytes((here / "c.csv").read_bytes())
+    assert examine_files(["-Öl.csv"], {}).name == "Ol"
     with pytest.raises(InputError, match=r"input_units: expected one for each of u \[V\], found 2"):
         examine_files(["c.csv"], {"input_units": ("a", "b")})
 

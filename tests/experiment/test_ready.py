@@ -98,8 +98,12 @@ def test_columns_must_be_told(given: dict[str, Any], needed: str) -> None:
 
 @pytest.mark.parametrize(
     ("file", "name"),
-    [("a b.csv", "a-b"), ("x.tar.gz", "x"), ("-x-.csv", "x"), ("ü.csv", "record"), ("v1.2_3-4.csv.gz", "v1.2_3-4")],
-)
+    [
+        ("a b.csv", "a-b"), ("x.tar.gz", "x"), ("-x-.csv", "x"), ("水.csv", "record"),
+        ("v1.2_3-4.csv.gz", "v1.2_3-4"), ("Öl Tank.csv", "Ol-Tank"), ("O\u0308l.csv", "Ol"),
+        ("Straße ²-Łódź.csv", "Strasse-2-Lodz"), ("Ångström.CSV", "Angstrom"),
+    ],
+)  # fmt: skip
 def test_a_record_is_named_after_its_file(file: str, name: str) -> None:
     Path(file).write_text("")
     found = describe([file], {"inputs": ("u",), "outputs": ("y",), "Ts": 1.0})
