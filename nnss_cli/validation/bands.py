@@ -108,8 +108,8 @@ def memory(parts: Sequence[FloatArray]) -> int:
 def _half_width(scores: Sequence[FloatArray], level: float, needed: int) -> tuple[float, int, int, int]:
     """q of one output, the number of blocks, their length and the scores' memory.
 
-    Blocks are as long as the memory. Where there would be too few, no finite q is assured: shorter ones give the
-    largest error instead.
+    Blocks are as long as the memory. Where there would be too few, no finite q is assured: q is the largest error then,
+    those beyond whole blocks among them.
     """
     samples, remembered = sum(map(len, scores)), memory(scores)
     length = max(1, min(remembered, samples // needed))
@@ -119,7 +119,9 @@ def _half_width(scores: Sequence[FloatArray], level: float, needed: int) -> tupl
             break
         length -= 1
     n = len(blocks)
+    if length < remembered:
+        return float(np.concatenate(scores).max()), n, length, remembered
     allowed = ((1 - level) * (n + 1) - 1) / n  # mean share outside
     ordered = np.sort(blocks.ravel())
-    outside = math.floor(allowed * len(ordered) + 1e-9) if length >= remembered else 0
+    outside = math.floor(allowed * len(ordered) + 1e-9)
     return float(ordered[len(ordered) - 1 - outside]), n, length, remembered
