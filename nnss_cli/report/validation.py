@@ -16,7 +16,7 @@ from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.style import STYLE, style_of
 from nnss_cli.report.tables import number
-from nnss_cli.validation.gain import ALONE, Gain
+from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
 from nnss_cli.validation.result import OutputCheck, Validation
@@ -47,12 +47,26 @@ def gain_lines(gains: Sequence[Gain]) -> list[str]:
                 f"observer's errors change by a factor of {gain.rate:.3g} a sample"
             )
         elif not gain.K.any():
-            lines.append(f"{whose}K = 0: no gain predicts the validation record better than the simulation does")
+            lines.append(f"{whose}K = 0: {_why_none(gain)}")
         else:
             lines.append(
                 f"{whose}gain: {gain.origin}; the observer's errors change by a factor of {gain.rate:.3g} a sample"
             )
     return lines
+
+
+def _why_none(gain: Gain) -> str:
+    """Why validation took no gain, by the rule of `nnss_cli.validation.gain`."""
+    simulation, lowest = gain.val["none"], min(gain.val.values())
+    if lowest >= simulation:
+        return "no gain predicts the validation record better than the simulation does"
+    better = f"{number(100 * (1 - lowest / simulation), 2)} % better than the simulation does"
+    if simulation <= MARGIN * lowest:
+        return f"the best gain predicts the validation record only {better}, and within 2 % the simplest is taken"
+    return (
+        f"gains predict the validation record up to {better}, but their observers do not contract along it and the "
+        "training record, or err more than the simulation over the whole of one"
+    )
 
 
 def guard_lines(weight: FloatArray, channels: Channels) -> list[str]:

@@ -79,7 +79,7 @@ def test_a_guard_says_how_much_persistence_had() -> None:
 
 
 def test_a_gain_says_where_it_comes_from() -> None:
-    none = SimpleNamespace(K=np.zeros((2, 1)), origin="none")
+    none = SimpleNamespace(K=np.zeros((2, 1)), origin="none", val={"none": 1.0, "Kalman": 1.01})
     some, alone = (SimpleNamespace(K=np.ones((2, 1)), origin=each, rate=0.56789) for each in ("Kalman", ALONE))
     zero = "K = 0: no gain predicts the validation record better than the simulation does"
     kalman = "gain: Kalman; the observer's errors change by a factor of 0.568 a sample"

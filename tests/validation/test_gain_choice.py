@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
 from nnss_cli.datasets.record import Record
 
+from nnss_cli.report.validation import gain_lines
 from nnss_cli.validation import gain
 from nnss_cli.validation.gain import SAMPLES
 
@@ -60,3 +63,30 @@ def test_an_observer_that_grows_along_training_is_not_taken(monkeypatch: pytest.
     found = gain._chosen(gain._judged(system, [(None, candidates)], *data), *data)  # type: ignore[arg-type]
     assert found.origin == "none"
     assert found.rate == pytest.approx(2.5)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([0.5, 0.97, 0.981, 1.0, 1.3]), st.booleans(), st.booleans()), max_size=4),
+    st.booleans(),
+)
+def test_why_there_is_no_gain_is_told_by_the_rule(found: list[tuple[float, bool, bool]], long: bool) -> None:
+    """Gains by their error on validation, that of K = 0 being 1, and whether they contract and serve a long record."""
+    judged = [gain._Candidate("none", 1.0, None, None, np.zeros((1, 1)), 0.9, 0.9)]  # type: ignore[arg-type]
+    judged += [
+        gain._Candidate(f"gain {i}", error, serves, None, np.ones((1, 1)), 0.5 if stable else 1.5, 1.0)  # type: ignore[arg-type]
+        for i, (error, stable, serves) in enumerate(found)
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gain, "_serves", lambda serves, _, records, __: serves or not records)
+        taken = gain._chosen(judged, [record(SAMPLES + long)], [record(40)], 1)
+    (told,) = gain_lines([taken])
+    able = [error for error, stable, serves in found if stable and (serves or not long)]
+    event(told[:60])
+    if told.startswith("K = 0"):
+        assert ("no gain predicts" in told) == all(error >= 1 for error, *_ in found)
+        assert ("within 2 % the simplest is taken" in told) == (min(error for error, *_ in [*found, (1,)]) == 0.981)
+        if "their observers" in told:  # none of those that are better by more than 2 % is able
+            assert "up to 50 % better" in told or "up to 3 % better" in told
+            assert not any(error < 0.98 for error in able)
+    else:
+        assert min(able) < 0.98
