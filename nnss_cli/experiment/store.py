@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from nnss_cli.datasets.record import Record
+from nnss_cli.datasets.record import FITTED_ON, Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.index import Line, Stamp, read_index, stamp, write_index
 from nnss_cli.experiment.run import RunResult, RunSpec
@@ -229,7 +229,7 @@ def stores(out: Path) -> list[Store]:
 
 
 def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
-    """The records of a run by split, as kept with it.
+    """The records of a run by split, as kept with it: train, val, then the test sets by name.
 
     Raises:
         InputError: the run keeps none, or they are damaged.
@@ -238,7 +238,7 @@ def records_of(folder: Path, Ts: float) -> dict[str, tuple[Record, ...]]:
     counts = Counter(name.split("/")[0] for name in signals if name.endswith("/y"))
     return {
         split: tuple(Record(signals[f"{split}/{i}/u"], signals[f"{split}/{i}/y"], Ts) for i in range(count))
-        for split, count in counts.items()
+        for split, count in sorted(counts.items(), key=lambda of: (of[0] not in FITTED_ON, of[0]))
     }
 
 

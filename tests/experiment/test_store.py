@@ -147,6 +147,14 @@ def test_runs_are_read_back_by_method_order_and_seed(store: Store) -> None:
     assert not store.run_folder(SPEC).exists()
 
 
+def test_the_splits_of_a_run_have_an_order_of_their_own(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensors come from their file in any order; what is written of the splits, an export, must be the same twice."""
+    names = ("warm", "val", "cold", "train")
+    kept = {f"{split}/0/{of}": np.zeros((3, 1)) for split in names for of in "uy"}
+    monkeypatch.setattr("nnss_cli.experiment.store.read_tensors", lambda _: kept)
+    assert list(records_of(store.folder, 0.5)) == ["train", "val", "cold", "warm"]
+
+
 def test_the_records_of_a_run_come_back_by_split(store: Store) -> None:
     y = np.ones((3, 2))
     more = {

@@ -327,7 +327,11 @@ def test_the_command_exports(nnss: Callable, trained: Callable[[str], TrainedMod
     assert done.code == 0, done.err
     assert "C99, float: largest error" in done.out
     assert {path.name for path in Path("firmware").iterdir()} == {"tank.c", "tank.h", "tank.json"}
-    assert nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank").code == 2
+    again = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
+    assert (again.code, again.out) == (0, done.out)  # the same files replace nothing
+    Path("firmware/tank.c").write_text("mine")
+    refused = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
+    assert (refused.code, Path("firmware/tank.c").read_text()) == (2, "mine")
     done = nnss("export", folder, "--to", "mat", "--out", "matlab")
     assert done.code == 0, done.err
     assert "Octave" in done.out
