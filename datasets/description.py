@@ -314,10 +314,14 @@ def read_description(path: Path) -> Description:
     return description
 
 
-def write_description(description: Description) -> str:
+def write_description(description: Description, remarks: Mapping[str, str] | None = None) -> str:
     """The description as TOML, each key under its comment; `read_description` gives an equal one again.
 
     Keys that stand at their default are written as comments, so that the file shows what there is.
+
+    Args:
+        description: what is written.
+        remarks: key → a line more in its comment.
     """
     blocks, tables = [], []
     for option in fields(Description):
@@ -326,6 +330,8 @@ def write_description(description: Description) -> str:
         comment = textwrap.fill(
             field_texts()[option.name], 110, initial_indent="# ", subsequent_indent="# ", break_long_words=False
         )
+        if remarks and option.name in remarks:
+            comment += f"\n# {remarks[option.name]}"
         value = getattr(description, option.name)
         default = option.default_factory() if option.default_factory is not MISSING else option.default
         if isinstance(value, Mapping) and value:

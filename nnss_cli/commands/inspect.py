@@ -28,7 +28,7 @@ def command(
 ) -> None:
     """Say what is in a record: length, gaps, excitation, delays, coherence, a first guess of the order, a split.
 
-    Columns whose roles are not given are guessed by their names, and it is said how.
+    Columns whose roles are not given are guessed by their names; it is said how, and marked in what --write writes.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError

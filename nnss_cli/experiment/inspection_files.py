@@ -36,6 +36,8 @@ class Roles:
     """Name of the time column; None where there is none."""
     guesses: tuple[str, ...]
     """What was guessed and why, in sentences."""
+    guessed: tuple[str, ...] = ()
+    """Which of "inputs", "outputs" and "time" were guessed."""
 
 
 @dataclass(frozen=True)
@@ -98,19 +100,22 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     given = {
         role: tuple(find_column(table, column) for column in fields.get(role) or ()) for role in ("inputs", "outputs")
     }
-    guesses = []
+    guesses, guessed = [], [role for role in ("inputs", "outputs") if not given[role]]
     columns = [str(name) for name in table.columns]
-    dates = [name for name in columns if table[name].dtype.kind == "M"]
+    dates = [name for name in columns if _are_dates(table, name)]
     taken = {*given["inputs"], *given["outputs"]}
     time = None if fields.get("time") is None else find_column(table, fields["time"])
     if time is None and fields.get("Ts") is None:
         time = next((name for name in columns if name not in taken and (name in dates or _TIME.fullmatch(name))), None)
         if time is not None:
             guesses.append(f"Column '{time}' is taken for the time: --time or --ts says otherwise.")
-    words = [name for name in columns if name not in taken and name != time and not _is_numeric(table[name])]
-    if words:
+            guessed.append("time")
+    others = [name for name in columns if name not in taken and name != time]
+    if stamps := [name for name in others if name in dates]:
+        guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
+    if words := [name for name in others if name not in dates and not _is_numeric(table[name])]:
         guesses.append(f"Left out, since they hold no numbers: {', '.join(words)}.")
-    free = [name for name in columns if name not in {*taken, *words} and name != time]
+    free = [name for name in others if name not in {*stamps, *words}]
     inputs, outputs = given["inputs"], given["outputs"]
     if not inputs or not outputs:
         if not inputs and not outputs:
@@ -130,7 +135,7 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
             f"'{table.attrs.get('source', 'table')}': expected a column of numbers as output, found "
             f"{', '.join(columns)}; name it with --outputs"
         )
-    return Roles(inputs, outputs, time, tuple(guesses))
+    return Roles(inputs, outputs, time, tuple(guesses), tuple(guessed))
 
 
 def suggested(seen: Seen, names: Sequence[str], own: Mapping[str, Any], target: Path) -> str:
@@ -172,7 +177,7 @@ def suggested(seen: Seen, names: Sequence[str], own: Mapping[str, Any], target: 
         allow_outside=any(file.startswith(("..", "/")) for file in files),
         folder=folder,
     )
-    return write_description(description)
+    return write_description(description, dict.fromkeys(seen.roles.guessed, "Guessed by 'nnss inspect': check it."))
 
 
 def _units(roles: Roles, fields: Mapping[str, Any]) -> list[str]:
@@ -191,10 +196,22 @@ def _units(roles: Roles, fields: Mapping[str, Any]) -> list[str]:
 
 
 def _is_numeric(column: pd.Series) -> bool:
-    """Whether a column holds numbers, or numbers with a few wrong cells, which are then named."""
+    """Whether a column holds numbers, or numbers with a few wrong cells, which are then named; not an empty one."""
     if column.dtype.kind in "fiub":
-        return True
+        return bool(column.notna().any())
     return column.dtype.kind == "O" and bool(pd.to_numeric(column, errors="coerce").notna().mean() > 0.5)
+
+
+def _are_dates(table: pd.DataFrame, name: str) -> bool:
+    """Whether a column holds dates, as a `time` column may."""
+    column = table[name]
+    if column.dtype.kind != "O" or _is_numeric(column) or not column.notna().any():
+        return column.dtype.kind == "M"
+    try:
+        times(table, name)
+    except InputError:
+        return False
+    return True
 
 
 def _relative(path: Path, folder: Path) -> str:

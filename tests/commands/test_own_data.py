@@ -126,7 +126,9 @@ def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) 
     assert Path("results/plant/inspection.png").stat().st_size > 10_000
     assert max(map(len, outcome.out.splitlines()[:40])) <= 81
     text = Path("plant.toml").read_text()
-    assert '\ninputs = ["valve", "pump"]\n' in text
+    assert '\n# Guessed by \'nnss inspect\': check it.\ninputs = ["valve", "pump"]\n' in text
+    assert "check it.\ntime = " in text
+    assert "check it.\noutputs = " not in text
     assert '\noutput_units = ["mm"]\n' in text
     again = nnss("compare", "plant.toml", "--orders", "2", "--methods", "n4sid")
     assert again.code == 0, again.err
@@ -139,6 +141,16 @@ def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) 
     found = json.loads(nnss("inspect", "plant.toml", "--json").out)
     assert found["samples"] == [K]
     assert [c["unit"] for c in found["channels"]] == ["–", "–", "mm"]
+
+
+def test_a_quiet_inspection_says_in_the_description_what_it_guessed(nnss: Callable, here: Path) -> None:
+    write_csv(plant(0).assign(spare=np.nan, shift="late"), here / "plant.csv")
+    outcome = nnss("inspect", "plant.csv", "--time", "t", "--write", "plant.toml", "--quiet")
+    assert (outcome.code, outcome.out) == (0, "")
+    text = Path("plant.toml").read_text()
+    for line in ('inputs = ["valve", "pump"]', 'outputs = ["level"]'):
+        assert f"# Guessed by 'nnss inspect': check it.\n{line}\n" in text
+    assert text.count("Guessed") == 2
 
 
 def test_files_are_experiments_with_files_to_validate_and_to_test(nnss: Callable, here: Path) -> None:

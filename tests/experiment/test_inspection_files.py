@@ -76,6 +76,34 @@ def test_a_column_of_dates_is_the_time_whatever_its_name() -> None:
     assert len(named.guesses) == 1
 
 
+def test_dates_in_text_may_be_the_time_and_are_said_to_be_dates() -> None:
+    frame = table("u", "y", when=pd.Series(["2024-01-31T12:00:00.5", "2024-01-31 12:00:01"], dtype=object))
+    frame["note"] = pd.Series(["2024-01-31", "late"], dtype=object)
+    assert assign_roles(frame, {}).time == "when"
+    told = assign_roles(frame, {"Ts": 1.0})
+    assert (told.inputs, told.outputs, told.time) == (("u",), ("y",), None)
+    assert told.guesses[:2] == (
+        "Left out, since they hold dates: when: --time takes one for the time.",
+        "Left out, since they hold no numbers: note.",
+    )
+
+
+@pytest.mark.parametrize("kind", [float, object])
+def test_an_empty_column_is_no_output(kind: type) -> None:
+    found = assign_roles(table("valve", "level", spare=np.array([np.nan, np.nan], dtype=kind)), {"Ts": 1.0})
+    assert (found.inputs, found.outputs) == (("valve",), ("level",))
+    assert found.guesses[0] == "Left out, since they hold no numbers: spare."
+
+
+def test_it_is_known_which_roles_were_guessed() -> None:
+    frame = table("t", "a", "b")
+    for given, guessed in (
+        ({}, ("inputs", "outputs", "time")), ({"outputs": ("b",)}, ("inputs", "time")), ({"time": "t"}, ("inputs",
+         "outputs")), ({"inputs": ("a",), "outputs": ("b",), "Ts": 1.0}, ()),
+    ):  # fmt: skip
+        assert assign_roles(frame, given).guessed == guessed
+
+
 @pytest.mark.parametrize(
     ("cells", "numbers"), [(["a", "1", "2"], True), (["a", "b", "2", "1"], False), (["a"] * 3, False)]
 )
