@@ -59,7 +59,8 @@ class Score:
     nrmse: float
     """rmse over the protocol's standard deviation of the output."""
     fit_percent: float
-    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖)."""
+    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) over all records of the split, y of each about its own mean, so that
+    a model has no credit for telling the levels of experiments apart; 0 for a constant output."""
 
 
 @dataclass(frozen=True)

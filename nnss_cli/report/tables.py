@@ -36,7 +36,7 @@ from nnss_cli.report.statistics import median_interval, quantile
 SIGMA_AND_FIT = (
     "RMSE/σ: σ is the output's standard deviation over the data that the protocol scales with, the training data "
     "unless a note says otherwise, so that splits can be compared. fit = 100 (1 − RMSE/s): s is the output's standard "
-    "deviation within the split itself, so 0 % is no better than its mean."
+    "deviation within the split itself, about the mean of each record, so 0 % is no better than these means."
 )
 """What the two relative errors are relative to."""
 

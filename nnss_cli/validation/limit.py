@@ -18,7 +18,7 @@ from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.baselines.subspace import Horizon
-from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.datasets.record import ROUNDING, FloatArray, Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt, multiple_coherence, welch
 
@@ -27,7 +27,7 @@ ORDERS = 2, 4, 6  # of N4SID, beside SSEST of the model's own and one more
 
 
 def linear_limits(records: Sequence[Record], order: int) -> list[float | None]:
-    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the best linear model, by output; None where nothing can be said.
+    """The fit (`Score.fit_percent`) of the best linear model, by output; None where nothing can be said.
 
     Args:
         records: experiments, any units.
@@ -44,13 +44,13 @@ def linear_limits(records: Sequence[Record], order: int) -> list[float | None]:
 def _coherence(records: Sequence[Record]) -> list[float | None]:
     r, m = records[0].input_count, records[0].output_count
     parts = [np.concatenate([record.u, record.y], axis=1) for record in records]
-    everything = np.concatenate(parts)
-    mean, deviation = everything.mean(axis=0), everything.std(axis=0)
-    alive = deviation > 0
+    centred = [part - part.mean(axis=0) for part in parts]  # each by its own mean, as the fit has it
+    deviation = _rms(centred)
+    alive = deviation > ROUNDING * np.abs(np.concatenate(parts)).max(axis=0)
     used = int(alive[:r].sum())
     if not used:
         return [None] * m
-    spectra = welch([((part - mean) / np.where(alive, deviation, 1))[:, alive] for part in parts], used)
+    spectra = welch([part[:, alive] / deviation[alive] for part in centred], used)
     found: list[float | None] = []
     for i in range(m):
         unexplained = None

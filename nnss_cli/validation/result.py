@@ -28,7 +28,7 @@ class OutputCheck:
     sigma: float
     """σ: standard deviation of the output over the training data."""
     fit_percent: float
-    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the free simulation."""
+    """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the free simulation, each record about its own mean (`Score.fit_percent`)."""
     limit: float | None
     """Fit [%] that the best linear model could reach (`nnss_cli.validation.limit`); None for a short record."""
     simulation_r1: float

@@ -1,0 +1,94 @@
+"""What linear relations explain of a record: known shares, two definitions that agree, and what neither tells."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.signal
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
+
+from nnss_cli.errors import InputError
+from nnss_cli.experiment.run import score_outputs
+from nnss_cli.validation import limit
+from nnss_cli.validation.limit import linear_limits
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> Callable[[LinearStateSpace | None], None]:
+    """Makes one model, in normalised units, of all that is fitted; or none that could be."""
+
+    def only(model: LinearStateSpace | None) -> None:
+        def fit(*_: object) -> LinearStateSpace:
+            if model is None:
+                raise InputError("too short")
+            return model
+
+        monkeypatch.setattr(limit, "ssest", fit)
+        monkeypatch.setattr(limit, "n4sid", fit)
+
+    return only
+
+
+def experiments(levels: tuple[float, ...], noise: tuple[float, float] = (0.5, 2.0)) -> list[Record]:
+    """Two inputs, two outputs of a fast plant with white noise, each experiment about a level of its own."""
+    random, found = np.random.default_rng(0), []
+    for level in levels:
+        u, e = random.standard_normal((2, 3000, 2))
+        y = scipy.signal.lfilter([1, 0.5], [1, -0.5], u @ [[1, 0.3], [0.5, 1]], axis=0) + noise * e
+        found.append(Record(u, y + level, 0.1))
+    return found
+
+
+@pytest.mark.parametrize("levels", [(0.0,), (0.0, 30.0), (-5.0, 40.0, 0.0)])
+def test_coherence_leaves_the_noise(levels: tuple[float, ...], fitted: Callable) -> None:
+    """Of several experiments, too: their levels are no part of it, as they are none of a fit."""
+    fitted(None)
+    records = experiments(levels)
+    centred = np.concatenate([record.y - record.y.mean(axis=0) for record in records])
+    expected = 100 * (1 - np.array([0.5, 2.0]) / centred.std(axis=0))
+    np.testing.assert_allclose(linear_limits(records, 2), expected, atol=1.5)
+
+
+def test_the_fit_of_a_fitted_model_is_that_of_scores(fitted: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a model's fit and the limit can be compared, on experiments at different levels, too."""
+    monkeypatch.setattr(limit, "welch", lambda *_: None)
+    A, B, C = np.array([[0.5, 0.2], [0.0, 0.3]]), np.eye(2), np.array([[0.5, 0.0], [0.2, 0.1]])
+    model = LinearStateSpace(A, B, C, 0.1 * np.eye(2), 0.1)
+    fitted(model)
+    for levels in ((0.0,), (0.0, 3.0)):
+        records = [record[:400] for record in experiments(levels)]
+        scaling = Scaling.of(tuple(records))
+        scores = score_outputs(
+            "", [each.y for each in records], [run(model, scaling, each) for each in records], scaling
+        )
+        assert linear_limits(records, 2) == [pytest.approx(score.fit_percent) for score in scores]
+
+
+def run(model: LinearStateSpace, scaling: Scaling, record: Record) -> FloatArray:
+    scaled = scaling.apply(record)
+    return scaling.restore_y(model.simulate(scaled.u, model.initial_state(scaled))[0])
+
+
+def test_the_limit_is_the_larger_of_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow plant outlasts the segments of coherence, which counts what no model can use: inputs that repeat y."""
+    monkeypatch.setattr(limit, "ssest", lambda records, _, order: limit.n4sid(records, order))  # which is quick
+    white = np.random.default_rng(1).standard_normal((1001, 1))
+    slow = Record(white[1:], scipy.signal.lfilter([0, 0.02], [1, -0.98], white[1:], axis=0), 1.0)
+    acausal = Record(white[:-1], white[1:], 1.0)  # u(k) = y(k − 1)
+    both = [linear_limits([record], 2)[0] for record in (slow, acausal)]
+    monkeypatch.setattr(limit, "welch", lambda *_: None)
+    fitted_alone = [linear_limits([record], 2)[0] for record in (slow, acausal)]
+    assert both[0] == fitted_alone[0] == pytest.approx(100)
+    assert both[1] > 95  # type: ignore[operator]
+    assert fitted_alone[1] < 5  # type: ignore[operator]
+
+
+def test_what_does_not_vary_has_no_limit(fitted: Callable) -> None:
+    fitted(None)
+    (record,) = experiments((0.0,))
+    flat = np.full((len(record), 1), 0.1)
+    assert linear_limits([Record(flat, record.y, 0.1)], 2) == [None, None]
+    whole = linear_limits([record], 2)
+    found = linear_limits([Record(np.hstack([flat, record.u]), np.hstack([flat, record.y]), 0.1)], 2)
+    assert found == [None, *(pytest.approx(value) for value in whole)]
