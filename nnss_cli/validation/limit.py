@@ -1,9 +1,11 @@
-"""What any linear model could reach on a record: by coherence, and by linear models fitted to this very record.
+"""What linear relations explain of a record: by coherence, and by linear models fitted to this very record.
 
 Coherence says which share of an output's power the inputs leave unexplained linearly, S_yy (1 − γ²) summed over the
 frequencies; but what outlasts its segments passes for unexplained, which on short records of slow plants is much. A
 linear model that was fitted to the record and simulates it better than that is a proof that more can be reached. The
-larger of both is the limit that is told: at least as much can be reached, perhaps more.
+larger of both is told, an estimate of what any linear relation explains: models may reach more, where neither sees it,
+or less, since coherence counts acausal relations, too. Of u(k) = y(k − 1) with white y it tells nearly 100 %, where no
+model simulates anything. Under feedback, whose inputs follow from past outputs and their noise, it is an upper figure.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ ORDERS = 2, 4, 6  # of N4SID, beside SSEST of the model's own and one more
 
 
 def linear_limits(records: Sequence[Record], order: int) -> list[float | None]:
-    """The fit (`Score.fit_percent`) of the best linear model, by output; None where nothing can be said.
+    """The fit (`Score.fit_percent`) that linear relations would give, by output; None where nothing can be said.
 
     Args:
         records: experiments, any units.

@@ -30,7 +30,7 @@ class OutputCheck:
     fit_percent: float
     """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the free simulation, each record about its own mean (`Score.fit_percent`)."""
     limit: float | None
-    """Fit [%] that the best linear model could reach (`nnss_cli.validation.limit`); None for a short record."""
+    """Fit [%] that linear relations would give, an estimate (`nnss_cli.validation.limit`); None for a short record."""
     simulation_r1: float
     """Autocorrelation of the simulation's errors at lag 1."""
     simulation_depends: tuple[float, ...]
