@@ -38,7 +38,7 @@ def _climb(system: Neural | Linear, starts: FloatArray, low: FloatArray, high: F
     """Projected gradient ascent of ρ(A) or ‖A‖₂ inside the box."""
     if isinstance(system, Linear):
         return starts
-    model = system.model
+    model = system.examined
     bottom, width = torch.tensor(low, dtype=model.dtype), torch.tensor(np.maximum(high - low, 1e-12), dtype=model.dtype)
     best = torch.tensor(starts, dtype=model.dtype)
     best_value = torch.full((len(starts),), -math.inf, dtype=model.dtype)

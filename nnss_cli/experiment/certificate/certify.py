@@ -72,7 +72,8 @@ def certify(
     high = np.max([record.u.max(axis=0) for record in everything], axis=0)
     runs = {name: [run for record in own for run in _runs(system, record, init_window)] for name, own in scaled.items()}
     points = {name: np.concatenate([system.scheduling(*run) for run in own]) for name, own in runs.items() if own}
-    radius = {name: float(radii(system.matrices(rho)).max()) for name, rho in points.items()}
+    sizes = {name: radii(system.matrices(rho)) for name, rho in points.items()}
+    radius = {name: float(own.max()) for name, own in sizes.items()}
     state: dict[str, float | None] = {name: max(_largest(x) for _, _, x in own) for name, own in runs.items() if own}
     seen = np.concatenate(list(points.values()))
     box_radius, box_norm, extremes = over_box(system, seen)
@@ -106,7 +107,8 @@ def certify(
         holds_for = f"{system.starts(len(everything), init_window)}, inputs within their range"
     largest = max(box_radius, *radius.values())
     broken = _broken(system, largest, box_norm)
-    sampled = say.Sampled(largest, box_norm, rate, lyapunov)
+    worst = np.concatenate([extremes, *(points[name][[own.argmax()]] for name, own in sizes.items())])
+    sampled = say.Sampled(largest, box_norm, rate, lyapunov, _beyond(system, worst, largest))
     said = [
         say.frozen(system.promise, system.gamma, sampled, tuple(broken)),
         say.quadratic(system.promise, system.gamma, sampled, tuple(broken)),
@@ -170,6 +172,15 @@ def _runs(system: Neural | Linear, record: Record, w: int) -> list[tuple[Record,
         y, x = system.run(record.u[:, :, None], record.y[0][:, None], x0[:, None])
         found.append((record, y[:, :, 0], x[:, :, 0]))
     return found
+
+
+def _beyond(system: Neural | Linear, rho: FloatArray, largest: float) -> tuple[float, float] | None:
+    """ρ(A), where among these ρ (N, ·) it is proved to be largest, and its margin; None where it reaches no promise."""
+    level = min(system.gamma, 1.0)
+    if isinstance(system, Linear) or largest < level:
+        return None
+    found = max((system.proved_radius(each) for each in rho), key=lambda each: each[0] - each[1])
+    return found if found[0] - found[1] >= level else None
 
 
 def _broken(system: Neural | Linear, radius: float, norm: float) -> list[str]:

@@ -28,6 +28,8 @@ class Sampled:
     """Of a common Lyapunov matrix for sampled A(ρ); None where none was found."""
     lyapunov: str
     """What the search gave, in words."""
+    proved: tuple[float, float] | None = None
+    """ρ(A) at a ρ where it is proved to reach γ, or 1 where that is not promised, and its margin; None without."""
 
 
 def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Statement, ...]:
@@ -36,10 +38,9 @@ def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Stateme
     found = lti.lyapunov(system.A)
     claim, same = f"ρ(A) = {radius:.8g} < 1", "A, B, C, D are constant; "
     if found is None:
-        # eigenvalues of A are known to ‖A‖ ε times their condition: beyond that it is unstable for certain
-        unstable = radius - 1 > lti.eigenvalue_margin(system.A)
-        how = f"{same}ρ(A) = {radius:.8g}, ± {lti.eigenvalue_margin(system.A):.1e}"
-        status = "refuted" if unstable else "unknown"
+        radius, margin = lti.spectral_radius(system.A)
+        how = f"{same}ρ(A) = {radius:.8g}, ± {margin:.1e}"
+        status = "refuted" if radius - margin > 1 else "unknown"
         return tuple(
             Statement(name, status, what, radius if name == "frozen" else None, "", how)  # type: ignore[arg-type]
             for name, what in (
@@ -64,30 +65,37 @@ def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Stateme
 
 def frozen(promise: Promise, gamma: float, seen: Sampled, broken: tuple[str, ...]) -> Statement:
     """Of ρ(A(ρ)) at every ρ."""
-    looked = f"largest seen {seen.radius:.6g}"
+    level = gamma if promise.radius else 1.0
+    claim, looked = f"ρ(A(ρ)) < {level:g}", f"largest seen {seen.radius:.6g}"
+    if seen.proved is not None:
+        return Statement("frozen", "refuted", claim, seen.proved[0], "", _somewhere(*seen.proved))
     if promise.radius and broken:
-        return Statement("frozen", "refuted", f"ρ(A(ρ)) < {gamma:g}", seen.radius, "", "; ".join(broken))
+        return Statement("frozen", "unknown", claim, seen.radius, "", "; ".join(broken))
     if promise.radius:
         how = f"by construction, in exact arithmetic; {looked}"
-        return Statement("frozen", "proved", f"ρ(A(ρ)) < {gamma:g}", gamma, "every ρ", how)
-    if seen.radius >= 1 + 1e-6:
-        return Statement("frozen", "refuted", "ρ(A(ρ)) < 1", seen.radius, "", f"{looked}, ± 1e-6")
-    return Statement("frozen", "sampled", "ρ(A(ρ)) < 1", seen.radius, "a box around the ρ of the records", looked)
+        return Statement("frozen", "proved", claim, gamma, "every ρ", how)
+    if seen.radius >= 1:
+        return Statement("frozen", "unknown", claim, seen.radius, "", f"{looked}: rounding decides")
+    return Statement("frozen", "sampled", claim, seen.radius, "a box around the ρ of the records", looked)
 
 
 def quadratic(promise: Promise, gamma: float, seen: Sampled, broken: tuple[str, ...]) -> Statement:
     """Of one quadratic Lyapunov function for every A(ρ), u = 0, before any proof over a region."""
     claim = "one quadratic Lyapunov function for all A(ρ)"
+    if seen.proved is not None and seen.proved[0] - seen.proved[1] >= 1:
+        return Statement("quadratic", "refuted", claim, None, "", _somewhere(*seen.proved))
     if promise.norm and broken:
-        return Statement("quadratic", "refuted", claim, seen.norm, "", "; ".join(broken))
+        return Statement("quadratic", "unknown", claim, seen.norm, "", "; ".join(broken))
     if promise.norm:
         how = f"by construction, in exact arithmetic: ‖A(ρ)‖₂ < {gamma:g}; largest seen {seen.norm:.6g}"
         return Statement("quadratic", "proved", f"‖x‖ falls by {gamma:g} a sample for u = 0", gamma, "every ρ", how)
-    if seen.radius >= 1 + 1e-6:
-        return Statement("quadratic", "refuted", claim, None, "", f"ρ(A) = {seen.radius:.6g} somewhere, ± 1e-6")
     if seen.lyapunov_rate is not None:
         return Statement("quadratic", "sampled", claim, seen.lyapunov_rate, "sampled ρ only", seen.lyapunov)
     return Statement("quadratic", "unknown", claim, None, "", seen.lyapunov)
+
+
+def _somewhere(radius: float, margin: float) -> str:
+    return f"ρ(A) = {radius:.8g} at one ρ, ± {margin:.1e}, {ROUNDED}: of the weights as they are stored"
 
 
 def gain_of_one_matrix(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,10 @@ import torch
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.experiment.certificate import lti
+from nnss_cli.experiment.certificate.affine import enclosed
 from nnss_cli.experiment.certificate.dynamics import Dynamics
+from nnss_cli.experiment.certificate.region import constant
 from nnss_cli.iterative import named_random
 from nnss_cli.model.incremental import Lure
 from nnss_cli.model.nnss import NNSS
@@ -58,6 +61,10 @@ class Neural:
         a = self.architecture = model.architecture
         self.stability, self.promise = a.stability, PROMISES[a.stability]
         self.gamma = a.gamma if self.promise.radius else math.inf
+        self.examined = model  # what runs is held to a promise; without one A is that of the weights, in float64
+        if not self.promise.radius:
+            self.examined = NNSS(replace(a, dtype="float64"), model.scaling, model.channels, model.Ts)
+            self.examined.load_state_dict(model.state_dict())
 
     @property
     def finds_state(self) -> bool:
@@ -118,13 +125,22 @@ class Neural:
         return finite if len(finite) else rho[:1]
 
     def torch_matrices(self, rho: torch.Tensor) -> torch.Tensor:
-        W, V, *_ = self.model.matrices(rho)
-        return self.model.state_matrix(W, V)
+        W, V, *_ = self.examined.matrices(rho)
+        return self.examined.state_matrix(W, V)
 
     @torch.no_grad()
     def matrices(self, rho: FloatArray) -> FloatArray:
         """A(ρ) (N, n, n)."""
-        return np.asarray(self.torch_matrices(torch.tensor(rho, dtype=self.model.dtype)).numpy(), dtype=np.float64)
+        return np.asarray(self.torch_matrices(torch.tensor(rho, dtype=self.examined.dtype)).numpy(), dtype=np.float64)
+
+    def proved_radius(self, rho: FloatArray) -> tuple[float, float]:
+        """ρ(A) at one ρ (·,), of the weights as they are stored, and its margin, with all rounding."""
+        a = self.architecture
+        system, parts = self.in_elementary_operations(), a.scheduling.split("+")
+        u = rho[a.order :][: a.inputs] if "u" in parts else np.zeros(a.inputs)
+        z = np.concatenate([rho[: a.order], rho[len(rho) - system.outputs_kept :]])
+        A = enclosed(system.frozen, z=constant(z, 1), u=constant(u, 1))["A"]
+        return lti.spectral_radius(A.c[0], A.spread()[0])
 
     def state_from_window(self, record: Record, w: int) -> FloatArray:
         """x(0) (n,) that explains the record's first w samples best, as a simulation from them starts."""
