@@ -136,9 +136,11 @@ def places(out: Path | None, usual: str, *beside: str, force: bool = False) -> l
         force: replace what is there.
 
     Raises:
-        InputError: a file that is asked for is there already.
+        InputError: a file that is asked for is there already, or is the one beside it.
     """
     first = Path(usual) if out is None else out
+    if first.suffix in beside:
+        raise InputError(f"--out: expected a name for the table, '{first}' is the figure's beside it: end it in .csv")
     for number in itertools.count(1):
         named = first.with_stem(f"{first.stem}-{number}") if number > 1 else first
         found = [named, *(named.with_suffix(suffix) for suffix in beside)]

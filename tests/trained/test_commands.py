@@ -169,6 +169,7 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folde
         (("--start", "middle"), "unknown start 'middle': choose from outputs, rest"),
         (("--time", "clock"), "no column 'clock'"),
         (("--time", "u1"), "expected another column than a channel's for the time, found 'u1'"),
+        (("--out", "x.png", "--plot"), "expected a name for the table, 'x.png' is the figure's beside it"),
         (("--ts", "nan"), "against the model: sampling time nan s, expected 0.5 s"),
     ],
 )
