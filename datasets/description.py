@@ -174,8 +174,9 @@ class Description:
     """Parts of each training file in time order, train/validation/test in percent. Default: 60/20/20, or 75/25/0
     if test files are given; not with val files."""
     detrend: str = _option(_one_of(*TREND_KINDS), "none")
-    """What to take off every signal, fitted on the training part only: "none", "constant" (its mean) or "linear"
-    (a line in the time since each file's start)."""
+    """"none"; "constant" for models about the training part's mean, even where it does not move around that; or
+    "linear", to take a drift off every signal (a line in the time since each file's start, fitted on the training
+    part)."""
     init_window: int = _option(_whole, 1)
     """First output samples from which the initial state is found; they are not scored."""
     orders: tuple[int, ...] = _option(_different(_all(_whole)), ())
