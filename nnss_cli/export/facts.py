@@ -33,11 +33,23 @@ def facts_of(model: TrainedModel) -> dict[str, Any]:
         ),
         "scaling": {name: values.tolist() for name, values in asdict(scaling).items()} if scaling else None,
         "init_window": model.init_window,
+        "start": start_of(model),
         "fingerprint": model.fingerprint,
         "training": asdict(origin) if origin else None,
         "certificate": certificates,
         "certificate_missing": missing,
     }
+
+
+def start_of(model: TrainedModel) -> str:
+    """What an export does not say of z(0) by itself: that the model finds it otherwise; "" where it does not."""
+    if model.init_window == 1:
+        return ""
+    return (
+        f"Start: the model finds z(0) from the first {model.init_window} output samples. That search is not exported: "
+        f"initial gives a first guess, from {model.system.starts_from}, and simulations from there may err more than "
+        "nnss says. Find z(0) in Python by model.initial_state(u, y_init), and start from it."
+    )
 
 
 def _certificates(model: TrainedModel) -> tuple[list[dict[str, Any]], str]:
@@ -96,6 +108,7 @@ def header(facts: dict[str, Any], width: int = 110) -> list[str]:
         f"{facts['model']}. Made by {facts['made_by']}; do not edit.",
         f"Inputs u: {signals('input')}. Outputs y: {signals('output')}. Sampling time {facts['Ts']:.9g} s.",
         f"States z: {', '.join(facts['states'])}. {facts['coordinates'][0].upper()}{facts['coordinates'][1:]}.",
+        facts["start"],
         f"Training data: fingerprint {facts['fingerprint'] or 'unknown'}.",
         *certificate_lines(facts),
     ]

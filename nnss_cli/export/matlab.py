@@ -38,7 +38,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
     of_initial = f"% z(0) from {system.starts_from}, as columns."
     files = {
         f"{name}_step": [step[0], of_step, *head, *step[1:]],
-        f"{name}_initial": [initial[0], of_initial, *initial[1:]],
+        f"{name}_initial": [initial[0], of_initial, *head, *initial[1:]],
         f"{name}_simulate": [
             f"function [y, z] = {name}_simulate(u, z)",
             "% Outputs (K x m) and states (K x N) of inputs u (K x r) from z(0) (N x 1), physical units.",

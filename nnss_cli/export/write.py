@@ -47,6 +47,8 @@ class Exported:
     """The files written."""
     parity: tuple[Parity, ...]
     """How far each part of them is from the model."""
+    start: str
+    """How their start differs from the model's; "" where it does not."""
 
 
 def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", force: bool = False) -> Exported:
@@ -91,4 +93,4 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
         require_writable(out)
         for source, path in zip(made, placed, strict=True):
             write_bytes(path, source.read_bytes())
-    return Exported(tuple(placed), tuple(parity))
+    return Exported(tuple(placed), tuple(parity), facts["start"])

@@ -254,6 +254,25 @@ def test_other_wrong_exports_are_one_line(tried: Callable, tmp_path: Path, monke
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("target", ["c", "mat"])
+def test_a_start_that_is_not_the_models_is_said(target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """x(0) of a model with an init window is searched for, which no export does."""
+    model = untrained("schur", "x", 2, (1, 1), encoder_window=3)
+    assert export(model, target, tmp_path / "plain").start == ""
+    monkeypatch.setattr(TrainedModel, "init_window", 20)
+    done = export(model, target, tmp_path / "out")
+    for said in (
+        "the model finds z(0) from the first 20 output samples", "a first guess, from the first 3 output samples",
+        "Find z(0) in Python by model.initial_state(u, y_init), and start from it.",
+    ):  # fmt: skip
+        assert said in done.start
+    for path in done.files:
+        if path.suffix in (".c", ".m", ".json") and path.stem not in ("model_simulate", "model_check"):
+            text = " ".join(path.read_text(encoding="utf-8").replace("\n *", "\n").replace("\n%", "\n").split())
+            assert done.start in text, path
+            assert "Start:" not in (tmp_path / "plain" / path.name).read_text(encoding="utf-8")
+
+
 def test_c_uses_no_library_function_but_exp(tried: Callable, tmp_path: Path) -> None:
     for i, kind in enumerate([("quadratic", "x+u", 3, (1, 1)), ("schur", "x", 3, (2, 3))]):
         model, facts, trial = tried(*kind)
@@ -321,7 +340,9 @@ def test_octave_runs_the_functions(tried: Callable, tmp_path: Path) -> None:
     assert found.simulation <= 1e-12
 
 
-def test_the_command_exports(nnss: Callable, trained: Callable[[str], TrainedModel]) -> None:
+def test_the_command_exports(
+    nnss: Callable, trained: Callable[[str], TrainedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = trained("linear").folder
     done = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
     assert done.code == 0, done.err
@@ -332,9 +353,12 @@ def test_the_command_exports(nnss: Callable, trained: Callable[[str], TrainedMod
     Path("firmware/tank.c").write_text("mine")
     refused = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
     assert (refused.code, Path("firmware/tank.c").read_text()) == (2, "mine")
+    assert "Start:" not in done.out
+    monkeypatch.setattr(TrainedModel, "init_window", 20)
     done = nnss("export", folder, "--to", "mat", "--out", "matlab")
     assert done.code == 0, done.err
     assert "Octave" in done.out
+    assert "\nStart: the model finds z(0) from the first 20 output samples." in done.out
 
 
 def test_the_command_fails_where_the_check_does(
