@@ -66,8 +66,13 @@ def usual_step(steps: FloatArray) -> float:
     return float(f"{near.mean() if len(near) else median:.9g}")
 
 
-def uniform_Ts(t: FloatArray, where: Where = sample) -> float:
+def uniform_Ts(t: FloatArray, where: Where = sample, remedy: str = "") -> float:
     """Sampling time of a uniform time axis: its `usual_step`, which is the mean of all.
+
+    Args:
+        t: instants (K,).
+        where: names a sample.
+        remedy: what can be done at hand; to resample it, unless told otherwise.
 
     Raises:
         InputError: some step differs from the median by more than `JITTER` (the first such is named), or time
@@ -81,24 +86,43 @@ def uniform_Ts(t: FloatArray, where: Where = sample) -> float:
         k = int(off.argmax())
         raise InputError(
             f"{where(k + 1)}: time is not uniform: the step is {steps[k]:.6g} s, expected {Ts:.6g} s within "
-            f"{JITTER:.0%} ({int(off.sum())} of {len(steps)} steps are off): resample (--resample {Ts:.9g}), "
-            "or leave the time column out and give Ts where the times are only rounded"
-        )
+            f"{JITTER:.0%} ({int(off.sum())} of {len(steps)} steps are off): "
+            + (remedy or f"resample (--resample {Ts:.9g}), or leave the time column out and give Ts where the times "
+            "are only rounded")
+        )  # fmt: skip
     return Ts
 
 
-def check_agreement(Ts: float, found: float, what: str) -> None:
+def check_agreement(Ts: float, found: float, what: str, remedy: str = "leave one out, or resample") -> None:
     """Refuse two sampling times that differ by more than `AGREEMENT`.
+
+    Args:
+        Ts: the one that is expected [s].
+        found: the other.
+        what: has it.
+        remedy: what can be done at hand.
 
     Raises:
         InputError: names both.
     """
     if not abs(found - Ts) <= AGREEMENT * Ts:
-        raise InputError(f"{what}: sampling time {found:.9g} s, expected {Ts:.9g} s: leave one out, or resample")
+        raise InputError(f"{what}: sampling time {found:.9g} s, expected {Ts:.9g} s: {remedy}")
 
 
-def check_complete(values: FloatArray, names: Sequence[str], where: Where = sample) -> None:
+INTERPOLATE = 'repair the file, or interpolate (missing = "interpolate")'
+"""What can be done about missing samples of a record that is described."""
+
+
+def check_complete(
+    values: FloatArray, names: Sequence[str], where: Where = sample, remedy: str = INTERPOLATE
+) -> None:  # fmt: skip
     """Refuse values (K, c) with missing samples (NaN).
+
+    Args:
+        values: to be looked at.
+        names: of the columns.
+        where: names a sample.
+        remedy: what can be done at hand.
 
     Raises:
         InputError: names the first column, its first gap, how many samples are missing, and the longest gap.
@@ -109,7 +133,7 @@ def check_complete(values: FloatArray, names: Sequence[str], where: Where = samp
             first, count = int(missing.argmax()), int(missing.sum())
             raise InputError(
                 f"{where(first)}, column '{name}': {count} of {len(column)} samples are missing, the longest gap is "
-                f'{_longest_run(missing)}: repair the file, or interpolate (missing = "interpolate")'
+                f"{_longest_run(missing)}: {remedy}"
             )
 
 

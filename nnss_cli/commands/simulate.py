@@ -32,7 +32,7 @@ def command(
     sheet: opt.FileSheet = None,
     force: opt.Force = False,
 ) -> None:
-    """Simulate the inputs of a file freely, and compare with its outputs where they are complete.
+    """Simulate the inputs of a file freely, and compare with its outputs where they are there.
 
     The first outputs tell the initial state, as many as the model's init window has; the rest may be empty. Inputs and
     simulated outputs that leave the range of the training records by more than a hundredth of it are told.
@@ -63,6 +63,11 @@ def command(
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
         console.print(SIGMA_AND_FIT, highlight=False)
+    if start == "outputs":
+        from nnss_cli.report.simulation import missing_lines
+
+        for line in missing_lines(found.measured, trained.channels, trained.init_window):
+            console.print(line, soft_wrap=True, highlight=False)
     try:
         beyond = beyond_training(trained, found)
     except InputError as error:  # a simulation needs no records

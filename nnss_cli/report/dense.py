@@ -40,17 +40,20 @@ def is_dense(values: FloatArray) -> bool:
 def envelope(time: FloatArray, values: FloatArray, bins: int = BINS) -> Envelope:
     """Least and largest values over pieces of a record, which differ by one sample in length at most.
 
+    Missing samples are left out, and a piece of nothing else is a gap.
+
     Args:
         time: instants (K,).
         values: (K,), K at least `bins`.
         bins: pieces.
     """
     edges = np.linspace(0, len(values), bins + 1).astype(int)[:-1]
-    return Envelope(time[edges], np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges))
+    return Envelope(time[edges], np.fmin.reduceat(values, edges), np.fmax.reduceat(values, edges))
 
 
 def thinned(time: FloatArray, values: FloatArray, bins: int = PIXELS // 2) -> tuple[FloatArray, FloatArray]:
-    """A line that looks like all of it: each piece's least and largest value, in their order in time.
+    """A line that looks like all of it: each piece's least and largest value, in their order in time, and a gap where
+    samples are missing.
 
     Args:
         time: instants (K,).
@@ -60,13 +63,16 @@ def thinned(time: FloatArray, values: FloatArray, bins: int = PIXELS // 2) -> tu
     if len(values) <= 2 * bins:
         return time, values
     edges = np.linspace(0, len(values), bins + 1).astype(int)
+    missing = np.isnan(values)
+    low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
     kept = np.concatenate(
         [
-            start + np.unique([np.argmin(values[start:stop]), np.argmax(values[start:stop])])
+            start + np.unique([np.argmin(low[start:stop]), np.argmax(high[start:stop])])
             for start, stop in itertools.pairwise(edges)
         ]
     )
-    kept = np.unique([0, *kept, len(values) - 1])
+    gaps = np.flatnonzero(np.diff(missing.astype(int)) == 1) + 1  # one sample of each breaks the line
+    kept = np.unique([0, *kept, *gaps, len(values) - 1])
     return time[kept], values[kept]
 
 

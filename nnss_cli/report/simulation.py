@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
@@ -32,6 +33,18 @@ def error_rows(scores: Sequence[Score], channels: Channels) -> list[dict[str, st
         }
         for score in scores
     ]  # fmt: skip
+
+
+def missing_lines(measured: FloatArray | None, channels: Channels, init_window: int) -> list[str]:
+    """What of the outputs beyond the init window could not be compared with, a line each."""
+    if measured is None:
+        return ["Nothing to compare with: the file has no outputs beyond those of the start."]
+    lines = []
+    for name, there in zip(channels.outputs, np.isfinite(measured[init_window * (init_window > 1) :]).T, strict=True):
+        if lost := int(np.sum(~there)):
+            rest = "errors are over the others" if there.any() else "there is nothing to compare with"
+            lines.append(f"'{name}': {lost} of {len(there)} samples are missing: {rest}.")
+    return lines
 
 
 def beyond_rows(found: Sequence[Beyond]) -> list[dict[str, str]]:

@@ -15,6 +15,9 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.trained.model import TrainedModel
 
+FILL = "fill them in in the file, or cut these rows"
+"""What can be done about missing samples: nothing is interpolated for a model."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -25,7 +28,7 @@ class Start:
     y_init: FloatArray | None
     """First output samples (w, m), physical units; None where they were not asked for."""
     y: FloatArray | None
-    """Outputs (K, m) where every one of them is there, to be compared with; else None."""
+    """Outputs (K, m) to be compared with, NaN where a sample is missing; None where all beyond the window are."""
 
 
 def read_record(
@@ -52,7 +55,7 @@ def read_record(
     path = Path(path)
     names = (*model.channels.inputs, *model.channels.outputs)
     values, table = _columns(model, path, names, time, Ts, sheet)
-    check_complete(values, names, lambda k: place(table, k))
+    check_complete(values, names, lambda k: place(table, k), FILL)
     _check_length(path, len(values), model.init_window + (model.init_window > 1), model.init_window)
     r = len(model.channels.inputs)
     return Record(values[:, :r], values[:, r:], model.Ts)
@@ -69,7 +72,7 @@ def read_start(
 ) -> Start:
     """A file's inputs for a simulation, and the first outputs, from which it starts.
 
-    Outputs beyond the model's init window may be missing; then there is nothing to compare with.
+    Outputs beyond the model's init window may be missing.
 
     Args:
         model: tells the columns by its channels' names; other columns are ignored.
@@ -85,14 +88,15 @@ def read_start(
     path = Path(path)
     inputs, w = model.channels.inputs, model.init_window
     names = (*inputs, *model.channels.outputs) if outputs else inputs
-    values, table = _columns(model, path, names, time, Ts, sheet)
+    values, table = _columns(model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs")
     u, y = values[:, : len(inputs)], values[:, len(inputs) :]
-    check_complete(u, inputs, lambda k: place(table, k))
+    check_complete(u, inputs, lambda k: place(table, k), FILL)
     if not outputs:
         return Start(u, None, None)
     _check_length(path, len(values), w, w)
-    check_complete(y[:w], model.channels.outputs, lambda k: place(table, k))
-    return Start(u, y[:w], y if np.isfinite(y).all() else None)
+    first = "fill them in in the file, cut these rows, or give --start rest, which needs no outputs"
+    check_complete(y[:w], model.channels.outputs, lambda k: place(table, k), first)
+    return Start(u, y[:w], y if np.isfinite(y[w:]).any() else None)
 
 
 def _columns(
@@ -102,8 +106,12 @@ def _columns(
     time: str | int | None,
     Ts: float | None,
     sheet: str | int | None,
+    without_outputs: str = "",
 ) -> tuple[FloatArray, Any]:
-    """Values (K, c) of these columns, NaN where a sample is missing, and the table."""
+    """Values (K, c) of these columns, NaN where a sample is missing, and the table.
+
+    `without_outputs` ends the message where outputs alone are missing.
+    """
     try:
         table = read_table(path, [*names] if time is None else [*names, time], sheet)
     except InputError as error:
@@ -116,16 +124,20 @@ def _columns(
         raise InputError(
             f"'{path.name}': expected the columns {', '.join(names)}, the model's channels, found "
             f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: rename what stands for {', '.join(missing)}"
+            + without_outputs
+            * (not set(missing) & set(model.channels.inputs))
         ) from error
     stamped = [str(column) for column in table.columns][-1]
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
+    at_its_own = f"a model runs at its own sampling time alone: bring the file to {model.Ts:.9g} s"
     if time is not None:
-        found = uniform_Ts(times(table, stamped), lambda k: place(table, k))
-        check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model")
+        rounded = "repair the file, or leave --time out where the times are only rounded"
+        found = uniform_Ts(times(table, stamped), lambda k: place(table, k), rounded)
+        check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
     if Ts is not None:
-        check_agreement(model.Ts, Ts, f"'{path.name}' against the model")
+        check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
     return values, table
 
 

@@ -33,9 +33,9 @@ class Simulated:
     x: FloatArray
     """States (K, n), the model's own."""
     measured: FloatArray | None
-    """Measured outputs (K, m) where the file has every one of them, else None."""
+    """Measured outputs (K, m), NaN where a sample is missing; None where all are, but for those of the start."""
     scores: tuple[Score, ...]
-    """Errors of each output after the init window; empty where nothing was measured."""
+    """Errors of each output over what was measured of it after the init window; none of one without."""
 
     def seconds(self, Ts: float) -> FloatArray:
         """The instants (K,) [s], from 0."""
@@ -115,10 +115,12 @@ def simulate_file(
     if found.y is None:
         return Simulated(found.u, simulation.y, simulation.x, None, ())
     begin = model.init_window if model.init_window > 1 else 0
+    whole = np.isfinite(found.y).all(axis=1)
+    scaling = model.scaling or Scaling.of((Record(found.u[whole], found.y[whole], model.Ts),))
     scores: list[Score] = []
-    if len(found.y) > begin:
-        scaling = model.scaling or Scaling.of((Record(found.u, found.y, model.Ts),))
-        scores = score_outputs("file", [found.y[begin:]], [simulation.y[begin:]], scaling)
+    for i, there in enumerate(np.isfinite(found.y[begin:]).T):
+        if there.any():
+            scores.append(score_outputs("file", [found.y[begin:][there]], [simulation.y[begin:][there]], scaling)[i])
     return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
 
 

@@ -111,7 +111,8 @@ class Limits:
     high: FloatArray
     """Upper limits (K, m), physical units."""
     held: FloatArray | None
-    """Share of the measured outputs within (m,), the init window left out; None where nothing was measured."""
+    """Share of the measured outputs within (m,), the init window left out, NaN of one of which there is none; None
+    where nothing was measured."""
     adaptive: AdaptiveBand | None = None
     """What moves the width of `band` as errors are seen; None where it is fixed beforehand."""
 
@@ -152,7 +153,7 @@ class Limits:
                     f" at first, then {widths.min():.4g} to {widths.max():.4g} by the coverage seen (step "
                     f"{self.adaptive.steps[i]:g}); the first"
                 )
-            seen = "" if self.held is None else f"; it holds {100 * self.held[i]:.1f} % here"
+            seen = "" if self.held is None or np.isnan(self.held[i]) else f"; it holds {100 * self.held[i]:.1f} % here"
             lines.append(
                 f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
                 f"the validation record{self._doubt(i)}{seen}"
@@ -170,7 +171,9 @@ class Limits:
 def _share_held(low: FloatArray, high: FloatArray, measured: FloatArray | None, init_window: int) -> FloatArray | None:
     if measured is None or len(measured) <= init_window:
         return None
-    return np.asarray(np.mean(((low <= measured) & (measured <= high))[init_window:], axis=0))
+    held, there = (low <= measured) & (measured <= high), np.isfinite(measured)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(held[init_window:].sum(axis=0) / there[init_window:].sum(axis=0))
 
 
 def adaptive_simulation() -> InputError:
@@ -278,7 +281,7 @@ def simulation_limits(
     band = simulation_band(trained, val, level, by)
     spread = None
     if by == "ensemble":
-        if found.measured is None:
+        if found.measured is None or not np.isfinite(found.measured).all():
             raise InputError("interval-by ensemble: expected a file with all its outputs, found some missing")
         record = Record(found.u, found.measured, trained.Ts)
         spread = predicted_with_spread(trained, record, None, by)[1]

@@ -150,6 +150,16 @@ def test_an_envelope_has_the_extremes_and_first_instant_of_each_piece() -> None:
     assert found.high.tolist() == [3.0, 9.0, 7.0]
 
 
+def test_missing_samples_hide_no_others_and_leave_a_gap() -> None:
+    y = np.array([3.0, np.nan, 2.0, np.nan, np.nan, 5.0, 6.0])
+    found = envelope(np.arange(7.0), y, bins=3)
+    np.testing.assert_array_equal(found.low, [3.0, 2.0, 5.0])
+    t, y = np.arange(12.0), np.array([0.0, 1, np.nan, np.nan, 9, 2, 3, 4, -7, 5, 6, 7])
+    time, line = thinned(t, y, bins=3)
+    assert time.tolist() == [0, 1, 2, 4, 5, 8, 11]
+    np.testing.assert_array_equal(line, y[time.astype(int)])
+
+
 def test_a_thinned_line_keeps_ends_and_extremes_in_order() -> None:
     t, y = np.arange(12.0), np.array([5.0, 4, 3, 9, 2, 1, 7, 8, 0, 6, 6, 5])
     time, line = thinned(t, y, bins=3)

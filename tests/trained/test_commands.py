@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,9 +17,11 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods import compiled
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT
+from nnss_cli.report.simulation import missing_lines
+from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
-from nnss_cli.trained.simulate import MARGIN, Simulated, beyond_training, require_finite
+from nnss_cli.trained.simulate import MARGIN, Simulated, beyond_training, require_finite, simulate_file
 
 
 @pytest.fixture
@@ -87,6 +90,65 @@ def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_fo
     y = pd.read_csv("predicted.csv")["y1"]
     np.testing.assert_allclose(y, load(trained_folder()).equilibrium(0.7).y[0], rtol=1e-9)
     assert "RMSE" not in done.out
+
+
+def test_missing_outputs_are_told_and_left_out(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
+    model, record = load(trained_folder()), small_dataset().tests["test"][0]
+    whole = nnss("simulate", trained_folder(), new, "--interval", "0.9")
+    assert "missing" not in whole.out
+    table = pd.read_csv(new)
+    lost = np.arange(5, 11)
+    table.loc[lost, "y1"] = np.nan
+    table.to_csv(new, index=False, float_format="%.17g")
+    done = nnss("simulate", trained_folder(), new, "--plot", "--interval", "0.9")
+    assert done.code == 0, done.err
+    assert f"'y1': 6 of {len(table)} samples are missing: errors are over the others." in done.out
+    kept = np.setdiff1d(np.arange(len(table)), lost)
+    found = simulate_file(model, new)
+    error = np.sqrt(np.mean((found.y - record.y)[kept] ** 2))
+    assert found.scores[0].rmse == pytest.approx(error, rel=1e-12)
+    assert str(number(error)) in done.out
+    low, high = (pd.read_csv("predicted-2.csv")[f"y1_{side}"].to_numpy()[kept] for side in ("low", "high"))
+    held = np.mean(((low <= record.y[kept, 0]) & (record.y[kept, 0] <= high))[1:])
+    assert f"it holds {100 * held:.1f} % here" in done.out
+    table.loc[1:, "y1"] = np.nan
+    table.to_csv(new, index=False)
+    done = nnss("simulate", trained_folder(), new)
+    assert "Nothing to compare with: the file has no outputs beyond those of the start." in done.out
+    assert "RMSE" not in done.out
+    assert "compare" not in nnss("simulate", trained_folder(), new, "--start", "rest").out
+
+
+def test_each_output_is_scored_over_its_own_samples(
+    nnss: Callable, trained_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    record = small_dataset(1, 3).tests["test"][0]
+    table = pd.DataFrame(np.column_stack([record.u, record.y]), columns=["u1", "y1", "y2", "y3"])
+    table.loc[9:, "y2"] = np.nan
+    table.loc[1:, "y3"] = np.nan
+    table.to_csv(tmp_path / "new.csv", index=False, float_format="%.17g")
+    folder = trained_folder(m=3)
+    found = simulate_file(windowed(load(folder), 2), tmp_path / "new.csv", "rest")
+    assert found.scores == ()
+    table.loc[1, "y3"] = 0.0
+    table.to_csv(tmp_path / "new.csv", index=False, float_format="%.17g")
+    model = windowed(load(folder), 2)
+    found = simulate_file(model, tmp_path / "new.csv")
+    error = (found.y - record.y)[2:]
+    assert [(score.output, score.rmse) for score in found.scores] == [
+        ("y1", pytest.approx(np.sqrt(np.mean(error[:, 0] ** 2)))),
+        ("y2", pytest.approx(np.sqrt(np.mean(error[:7, 1] ** 2)))),
+    ]
+    K = len(table)
+    assert missing_lines(found.measured, model.channels, 2) == [
+        f"'y2': {K - 9} of {K - 2} samples are missing: errors are over the others.",
+        f"'y3': {K - 2} of {K - 2} samples are missing: there is nothing to compare with.",
+    ]
+
+
+def windowed(model: TrainedModel, window: int) -> TrainedModel:
+    assert model.origin is not None
+    return replace(model, origin=replace(model.origin, init_window=window))
 
 
 def test_what_leaves_the_range_of_training_is_told(

@@ -60,6 +60,39 @@ def test_a_start_needs_outputs_in_the_window_only(model: TrainedModel, tmp_path:
     start = read_start(model, tmp_path / "new.csv")
     assert start.y is not None
     assert len(start.y) == 8
+    table(y1=nan_at_three(np.cos(np.arange(8.0)))).to_csv(tmp_path / "new.csv", index=False)
+    start = read_start(model, tmp_path / "new.csv")
+    assert start.y is not None
+    assert np.flatnonzero(np.isnan(start.y)).tolist() == [3]
+
+
+def test_messages_name_what_a_model_can_do_with_a_file(model: TrainedModel, tmp_path: Path) -> None:
+    """Nothing is interpolated or resampled for it; a simulation may start from rest."""
+    new = tmp_path / "new.csv"
+
+    def told(read: Callable, content: pd.DataFrame, **options: object) -> str:
+        content.to_csv(new, index=False)
+        with pytest.raises(InputError) as error:
+            read(model, new, **options)
+        return str(error.value).split(": ", 1)[1]
+
+    y = np.cos(np.arange(8.0))
+    fill = "1 of 8 samples are missing, the longest gap is 1: fill them in in the file, or cut these rows"
+    assert told(read_record, table(y1=nan_at_three(y))) == fill
+    assert told(read_start, table(u1=nan_at_three(y))) == fill
+    y[0] = np.nan
+    assert told(read_start, table(y1=y)).endswith("cut these rows, or give --start rest, which needs no outputs")
+    named = "rename what stands for y1"
+    assert told(read_record, table().drop(columns="y1")).endswith(named)
+    assert told(read_start, table().drop(columns="y1")).endswith(
+        f"{named}, or give --start rest, which needs no outputs"
+    )
+    assert told(read_start, table().drop(columns=["y1", "u1"])).endswith("rename what stands for u1, y1")
+    alone = "expected 0.5 s: a model runs at its own sampling time alone: bring the file to 0.5 s"
+    assert told(read_start, table(), Ts=0.2).endswith(alone)
+    assert told(read_start, table(t=0.4 * np.arange(8)), time="t").endswith(alone)
+    uneven = told(read_record, table(t=np.arange(8) ** 2.0), time="t")
+    assert uneven.endswith("steps are off): repair the file, or leave --time out where the times are only rounded")
 
 
 def nan_at_three(values: np.ndarray) -> np.ndarray:
