@@ -32,9 +32,9 @@ from nnss_cli.report.standing import (
     combinations,
     effects,
     missing_runs,
+    no_ranking,
     ranking,
     record_table,
-    too_few,
     unscored,
 )
 from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
@@ -101,7 +101,8 @@ def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str
     table, left_out = record_table(results)
     parts.append("### Ranks over records")
     if len(table) < MIN_RECORDS or table.shape[1] < 2:
-        return [*parts, too_few(len(table))]
+        why = no_ranking(*table.shape)
+        return [*parts, why, *(_listed("Left out", left_out) if len(table) >= MIN_RECORDS else [])]
     tests = paired_tests(table)
     figure = figures.draw_ranks(
         mean_ranks(table), [(t.first, t.second) for t in tests if not t.differ],

@@ -223,8 +223,13 @@ def pair_rows(tests: Sequence[Comparison]) -> list[dict[str, str]]:
     ]  # fmt: skip
 
 
-def too_few(records: int) -> str:
-    """Why there is no ranking."""
+def no_ranking(records: int, methods: int) -> str:
+    """Why there is none of so many records, and methods that all of them have."""
+    if records >= MIN_RECORDS:
+        return (
+            f"{records} records with a test, but {methods or 'no'} method{'s' * (methods != 1)} with results on all of "
+            "them: there is no ranking of fewer than two. Run the same methods on each record."
+        )
     return (
         f"{records} record{'s' * (records != 1)} with a test: too few to test methods against each other over records "
         f"(at least {MIN_RECORDS}), so there is no ranking. What is known is what the table says, record by record."

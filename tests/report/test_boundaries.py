@@ -17,11 +17,11 @@ from nnss_cli.report.standing import (
     fails_too_often,
     is_seeded,
     missing_runs,
+    no_ranking,
     pair_rows,
     ranking,
     record_name,
     record_table,
-    too_few,
     unscored,
 )
 from nnss_cli.report.statistics import (
@@ -201,8 +201,8 @@ def test_a_ranking_says_where_no_difference_can_be_shown() -> None:
 
 
 def test_too_few_records_are_counted() -> None:
-    assert [too_few(n).partition(" with")[0] for n in (0, 1, 5)] == ["0 records", "1 record", "5 records"]
-    assert "(at least 6)" in too_few(1)
+    assert [no_ranking(n, 2).partition(" with")[0] for n in (0, 1, 5)] == ["0 records", "1 record", "5 records"]
+    assert "(at least 6)" in no_ranking(1, 2)
 
 
 def test_the_meaning_names_the_share_of_failures_that_is_tolerated() -> None:

@@ -179,6 +179,19 @@ def test_few_records_are_not_tested(records: int, tmp_path) -> None:
     assert "It says nothing about another record" in " ".join(text.split())
 
 
+def test_enough_records_without_two_methods_in_common_are_not_said_to_be_too_few(tmp_path) -> None:
+    runs = [
+        r for i in range(7) for name in ("n4sid", "ssest" if i else "nnss")
+        for r in seeds(f"record{i}", name, 2, [1.0 + 0.01 * i])
+    ]  # fmt: skip
+    text = "\n".join(_overall(runs, "strict", tmp_path))
+    assert "7 records with a test, but 1 method with results on all of them: there is no ranking" in text
+    assert "- ssest has no rank: not run on record0" in text
+    assert "too few" not in text
+    text = "\n".join(_overall([r for r in runs if r.spec.method != "n4sid"], "strict", tmp_path))
+    assert "7 records with a test, but no methods with results on all of them" in text
+
+
 def test_enough_records_are_ranked_by_record(tmp_path) -> None:
     random = np.random.default_rng(0)
     runs = [

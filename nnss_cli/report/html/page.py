@@ -23,7 +23,7 @@ from nnss_cli.report.html.looks import LINES, Look, looks_of, variables
 from nnss_cli.report.html.overview import Chart, Standing, chart_of, standings
 from nnss_cli.report.html.pictures import glyph, key, symbols
 from nnss_cli.report.html.record import COLUMNS, LARGEST, section_of
-from nnss_cli.report.standing import MEANING, missing_runs, pair_rows, record_table, too_few, unscored
+from nnss_cli.report.standing import MEANING, missing_runs, no_ranking, pair_rows, record_table, unscored
 from nnss_cli.report.statistics import LEVEL, MIN_RECORDS, mean_ranks, paired_tests
 from nnss_cli.report.studies import CHANGES
 from nnss_cli.report.tables import number
@@ -101,7 +101,7 @@ def _overview(results: Sequence[RunResult], protocol: str, looks: dict[str, Look
     return Overview(
         protocol, on_test, chart_of(on_test), _items(QUIRKS) if protocol == "paper" else [],
         list(dict.fromkeys([*unscored(results, "test"), *missing_runs(results), *left_out])),
-        "" if ranked else too_few(len(table)),
+        "" if ranked else no_ranking(*table.shape),
         [(looks[str(name)].label, float(rank)) for name, rank in mean_ranks(table).items()] if ranked else [],
         pair_rows(paired_tests(table)) if ranked else [],
     )  # fmt: skip
