@@ -58,6 +58,7 @@ def free_run_from(model: Model, u: FloatArray, z0: FloatArray) -> Simulation | N
     if not isinstance(model, NNSS):
         return None
     n = model.architecture.states
+    # where z has no output before, nothing is scheduled on it, and any does
     return _run(model, u, z0[:n], z0[n:] if len(z0) > n else model.scaling.y_mean)
 
 

@@ -71,10 +71,11 @@ def frozen(system: System, z: FloatArray, u: FloatArray) -> Frozen:
 
 
 def equilibrium(system: System, u: FloatArray) -> Equilibrium:
-    """The equilibrium under a constant input u (r,) that is reached from the mean output, else the nearest to it.
+    """The equilibrium under a constant input u (r,) that is reached from the mean output, else one that Newton finds.
 
-    The model is run under the input; Newton's steps, with exact derivatives, go on from where that leads, and from the
-    start where it leads nowhere.
+    The model is run under the input, `SETTLING` samples at most. Newton's steps, with exact derivatives, go on from
+    where that leads, be it settled or not; from the start, where it leaves the range of numbers or they fail; and from
+    0. Of several equilibria, the one that is found where the path has not settled may be any.
 
     Raises:
         InputError: none is found.

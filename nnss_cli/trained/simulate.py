@@ -111,7 +111,7 @@ def simulate_file(
     found = read_start(model, path, outputs=start == "outputs", time=time, Ts=Ts, sheet=sheet)
     with np.errstate(over="ignore", invalid="ignore"):
         simulation = model.simulate(found.u, found.y_init)
-    require_finite(f"'{Path(path).name}': the simulation", simulation.y, np.inf)
+    require_finite(f"'{Path(path).name}': the simulation", simulation.y)
     if found.y is None:
         return Simulated(found.u, simulation.y, simulation.x, None, ())
     begin = model.init_window if model.init_window > 1 else 0
@@ -124,18 +124,17 @@ def simulate_file(
     return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
 
 
-def require_finite(what: str, y: FloatArray, largest: float = LARGEST) -> None:
+def require_finite(what: str, y: FloatArray) -> None:
     """Outputs that can be compared with measured ones: their squares are numbers.
 
     Args:
         what: they are, at the head of the message.
         y: the outputs (K, m).
-        largest: what they are to stay below; inf for outputs that are numbers.
 
     Raises:
-        InputError: they leave that range; the message says where.
+        InputError: they reach `LARGEST`; the message says where.
     """
-    lost = ~(np.abs(y) < largest).all(axis=1)
+    lost = ~(np.abs(y) < LARGEST).all(axis=1)
     if lost.any():
         raise InputError(
             f"{what} leaves the finite range at sample {int(lost.argmax())}: expected a model that is stable for these "

@@ -14,14 +14,14 @@ import pytest
 from nnss_cli.datasets.record import Channels, Record, Simulation
 
 from nnss_cli.errors import InputError
-from nnss_cli.methods import compiled
+from nnss_cli.methods.compiled import free_run
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT
 from nnss_cli.report.simulation import missing_lines
 from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
-from nnss_cli.trained.simulate import MARGIN, Simulated, beyond_training, require_finite, simulate_file
+from nnss_cli.trained.simulate import Simulated, beyond_training, require_finite, simulate_file
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_a_long_record_is_simulated_in_compiled_code(
 ) -> None:
     """Equal to the model's own simulation up to rounding; the command never takes the slow way."""
     model, random = untrained(n=3).model, np.random.default_rng(0)
-    u, y = random.standard_normal((compiled.LONG, 1)), random.standard_normal((compiled.LONG, 1))
+    u, y = random.standard_normal((1000, 1)), random.standard_normal((1000, 1))
     pd.DataFrame({"u1": u[:, 0], "y1": y[:, 0]}).to_csv(new, index=False, float_format="%.17g")
     expected = model.simulate(u, y[:1])
     model.save(tmp_path / "model")
@@ -77,6 +77,8 @@ def test_a_long_record_is_simulated_in_compiled_code(
     np.testing.assert_allclose(found["y1"], expected.y[:, 0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found[["x1", "x2", "x3"]], expected.x, rtol=1e-9, atol=1e-9)
     assert max(longest) < 10
+    free_run(model, u[1:], y[:1])  # a sample less is run by the model itself
+    assert max(longest) == 999
 
 
 def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
@@ -157,17 +159,17 @@ def test_what_leaves_the_range_of_training_is_told(
     model = load(trained_folder())
     (known,) = model.records()["train"]
     bounds = [(float(signal.min()), float(signal.max())) for signal in (known.u, known.y)]
-    margins = [MARGIN * (high - low) for low, high in bounds]
+    margins = [0.01 * (high - low) for low, high in bounds]
 
     def told(u: np.ndarray, y: np.ndarray) -> tuple:
         return beyond_training(model, Simulated(u[:, None], y[:, None], np.zeros((len(u), 2)), None, ()))
 
     (u_low, u_high), (y_low, y_high) = bounds
-    within = np.array([u_low - 0.9 * margins[0], u_high + 0.9 * margins[0]])
+    within = np.array([u_low - 0.99 * margins[0], u_high + 0.99 * margins[0]])
     assert told(within, np.array([y_low, y_high])) == ()
-    (one,) = told(np.array([u_low - 1.1 * margins[0], u_high]), np.array([y_low, y_high]))
+    (one,) = told(np.array([u_low - 1.01 * margins[0], u_high]), np.array([y_low, y_high]))
     assert (one.channel, one.samples, one.of, one.trained) == ("u1", 1, 2, bounds[0])
-    assert one.found == (u_low - 1.1 * margins[0], u_high)
+    assert one.found == (u_low - 1.01 * margins[0], u_high)
     (one,) = told(np.array([u_low, u_low, u_high]), y_high + np.array([2, 2, 0]) * margins[1])
     assert (one.channel, one.samples, one.of, one.trained) == ("y1", 2, 3, bounds[1])
 
@@ -255,13 +257,13 @@ def test_a_simulation_that_runs_away_is_told(new: Path, nnss: Callable, trained_
     save_file(tensors | {"A": 1e9 * np.eye(2)}, folder / "model.safetensors")
     done = nnss("simulate", folder, new)
     assert done.code == 2
-    assert "the simulation leaves the finite range at sample 3" in done.err
+    assert "the simulation leaves the finite range at sample 1" in done.err  # beyond 1e150, which is still a number
     assert not Path("predicted.csv").exists()
 
 
-@pytest.mark.parametrize("far", [np.nan, np.inf, -1e160])
+@pytest.mark.parametrize("far", [np.nan, np.inf, -1e150])
 def test_outputs_whose_squares_are_no_numbers_are_out_of_range(far: float) -> None:
-    y = np.full((6, 2), 1e140)
+    y = np.full((6, 2), 0.99e150)
     require_finite("the simulation", y)
     y[3, 1] = far
     with pytest.raises(InputError, match="the simulation leaves the finite range at sample 3: expected a model"):

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -265,3 +266,10 @@ def test_of_several_equilibria_the_one_that_is_reached() -> None:
     system = system_of([parts], Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1)))
     assert equilibrium(system, np.zeros(1)).y == pytest.approx(1.0, abs=1e-9)
     assert _newton(system, np.array([0.4]), np.zeros(1))[0] == pytest.approx(0.0, abs=1e-9)
+    # 3.9 x (1 − x) never settles: one of its equilibria, 0 and 1 − 1/3.9, by chance
+    chaotic = replace(
+        parts, advance=lambda x, u, _: (x * 3.9 - x * x * 3.9 + u, x), initial=lambda y0, _: y0.constant(0.3)
+    )
+    system = system_of([chaotic], Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1)))
+    (y,) = equilibrium(system, np.zeros(1)).y
+    assert min(abs(y), abs(y - (1 - 1 / 3.9))) < 1e-9
