@@ -82,7 +82,7 @@ def command(
         for rows, what, text in (
             (output_rows(found), f"{name}: {trained.label}", 1), (step_rows(found.steps, found.channels), "Ahead", 1),
             (residual_rows(found), "Residuals: errors one step ahead", 2),
-            (point_rows(found), "Linearisations at equilibria", 1), (test_rows(found), "Tests", 1),
+            (point_rows(found), "Linearisations at equilibria", 2), (test_rows(found), "Tests", 1),
         ):  # fmt: skip
             if rows:
                 print_rows(rows, what, text_columns=text)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.datasets.units import titled
+from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.style import STYLE, style_of
@@ -116,14 +117,17 @@ def _largest(correlation: Any) -> str:
 
 
 def point_rows(found: Validation) -> list[dict[str, str]]:
-    """Linearisations: where, their slowest pole, and steady-state gains of the first output."""
+    """Linearisations, one row a point and output: where, their slowest pole, and steady-state gains from each input."""
+    c = found.channels
     return [
         {
-            "u": ", ".join(number(value) for value in point.u), "y": ", ".join(number(value) for value in point.y),
-            "largest |pole|": number(float(np.abs(point.poles).max())),
-            f"gain of {found.channels.outputs[0]}": ", ".join(number(value) for value in point.dc_gain[0]),
+            "point": whole(1 + index), "output": titled(output, unit),
+            **{f"at {name}": number(value) for name, value in zip(c.inputs, point.u, strict=True)},
+            "at rest": number(point.y[i]), "largest |pole|": number(float(np.abs(point.poles).max())),
+            **{f"gain from {name}": number(value) for name, value in zip(c.inputs, point.dc_gain[i], strict=True)},
         }
-        for point in found.linear.points
+        for index, point in enumerate(found.linear.points)
+        for i, (output, unit) in enumerate(zip(c.outputs, c.output_units, strict=True))
     ]  # fmt: skip
 
 
