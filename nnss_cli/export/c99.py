@@ -345,17 +345,20 @@ def compile_c(sources: Sequence[Path], to: Path, *flags: str) -> None:
 def _check(folder: Path, name: str, kind: str, trial: Trial, aside: Path) -> Parity:
     library = aside / f"{name}-{kind}.so"
     compile_c([folder / f"{name}.c"], library, "-shared", "-fPIC", *[f"-D{name.upper()}_FLOAT"] * (kind == "float"))
-    step = getattr(ctypes.CDLL(str(library)), f"{name}_step")
+    functions = ctypes.CDLL(str(library))
+    step, initial = (getattr(functions, f"{name}_{part}") for part in ("step", "initial"))
     dtype = np.float32 if kind == "float" else np.float64
     u = np.ascontiguousarray(trial.u, dtype=dtype)
     z: Array = np.array(trial.z, dtype=dtype, order="C")
     y: Array = np.empty(trial.y.shape, dtype=dtype)
     simulated, state = np.empty(trial.y.shape, dtype=dtype), z[0].copy()
 
-    def call(state: Array, k: int, into: Array) -> None:
-        step(*(ctypes.c_void_p(array.ctypes.data) for array in (state, u[k], into[k])))
+    def call(function: Any, *arrays: Array) -> None:
+        function(*(ctypes.c_void_p(array.ctypes.data) for array in arrays))
 
     for k in range(len(u)):
-        call(z[k], k, y)
-        call(state, k, simulated)
-    return check(f"C99, {kind}", trial, (z, y), simulated, TOLERANCES[kind])
+        call(step, z[k], u[k], y[k])
+        call(step, state, u[k], simulated[k])
+    started: Array = np.empty(len(trial.z0), dtype=dtype)
+    call(initial, np.asarray(trial.y0, dtype=dtype), np.asarray(trial.u0, dtype=dtype), started)
+    return check(f"C99, {kind}", trial, (z, y), simulated, TOLERANCES[kind], started)

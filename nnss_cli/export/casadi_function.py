@@ -20,7 +20,7 @@ DIRECTIONS = 8  # of such steps
 
 
 def write_casadi(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Path, name: str) -> list[Parity]:
-    """<name>_step.casadi, <name>_initial.casadi and <name>_jacobian.casadi, checked."""
+    """<name>_step.casadi, <name>_initial.casadi and <name>_jacobian.casadi, each checked."""
     del facts
     import casadi
 
@@ -32,8 +32,10 @@ def write_casadi(model: TrainedModel, facts: dict[str, Any], trial: Trial, folde
     jacobian = casadi.Function(f"{name}_jacobian", [z, u], parts, ["z", "u"], ["A", "B", "C", "D"])
     for function in (step, _function(casadi, f"{name}_initial", system.initial, ("z",)), jacobian):
         function.save(str(folder / f"{function.name()}.casadi"))
-    loaded = {part: casadi.Function.load(str(folder / f"{name}_{part}.casadi")) for part in ("step", "jacobian")}
-    return [_check(loaded["step"], loaded["jacobian"], system, trial)]
+    loaded = {
+        part: casadi.Function.load(str(folder / f"{name}_{part}.casadi")) for part in ("step", "initial", "jacobian")
+    }
+    return [_check(loaded, system, trial)]
 
 
 def _operations(casadi: Any) -> Mapping[str, Callable[..., Any]]:
@@ -69,8 +71,8 @@ def _function(casadi: Any, name: str, program: Program, results: tuple[str, ...]
     )
 
 
-def _check(step: Any, jacobian: Any, system: System, trial: Trial) -> Parity:
-    K = len(trial.u)
+def _check(functions: Mapping[str, Any], system: System, trial: Trial) -> Parity:
+    K, step = len(trial.u), functions["step"]
     z_next, y = step.map(K)(trial.z.T, trial.u.T)
     simulated = step.mapaccum(K)(trial.z[0], trial.u.T)[1]
     branches = any(node.operation == "less" for node in system.step.nodes)
@@ -79,11 +81,12 @@ def _check(step: Any, jacobian: Any, system: System, trial: Trial) -> Parity:
         own = system.jacobians(z, u)
         if branches and not _smooth(system, z, u, own):
             continue
-        for found, expected in zip(jacobian(z, u), own, strict=True):
+        for found, expected in zip(functions["jacobian"](z, u), own, strict=True):
             error = float(np.max(np.abs(found.full() - expected) / (1 + np.abs(expected)), initial=0.0))
             if not error <= TOLERANCE:
                 raise ParityError(f"CasADi: a Jacobian is {error:.1e} off the model's; no file was written")
-    return check("CasADi", trial, (z_next.full().T, y.full().T), simulated.full().T, TOLERANCE)
+    started = functions["initial"](trial.y0, trial.u0).full()[:, 0]
+    return check("CasADi", trial, (z_next.full().T, y.full().T), simulated.full().T, TOLERANCE, started)
 
 
 def _smooth(system: System, z: Array, u: Array, here: Sequence[Array]) -> bool:

@@ -97,5 +97,5 @@ def _check(path: Path, trial: Trial) -> Parity:
     response = control.input_output_response(system, np.arange(len(u)) * system.dt, u.T, trial.z[0])
     return check(
         "control.nlsys", trial, (np.array([z for z, _ in stepped]), np.array([y for _, y in stepped])),
-        response.y.T[: len(trial.u)], TOLERANCE,
+        response.y.T[: len(trial.u)], TOLERANCE, module.initial(trial.y0, trial.u0),
     )  # fmt: skip

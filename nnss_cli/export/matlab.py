@@ -53,7 +53,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
             "end",
         ],
         f"{name}_check": [
-            f"function [z_next, y, simulated] = {name}_check()",
+            f"function [z_next, y, simulated, started] = {name}_check()",
             f"% Repeat the trial that is kept in {name}.mat; an error where the functions do not give its outputs.",
             f"data = load(fullfile(fileparts(mfilename('fullpath')), '{name}.mat')); t = data.trial;",
             "z_next = zeros(size(t.z)); y = zeros(size(t.y));",
@@ -62,6 +62,11 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
             "  z_next(k, :) = next.'; y(k, :) = now.';",
             "end",
             f"simulated = {name}_simulate(t.u, t.z(1, :).');",
+            f"started = {name}_initial(t.y0(:), t.u0(:));",
+            "error_of_z = max(abs(started - t.z0(:)) ./ (1 + abs(t.z0(:))));",
+            "if ~(error_of_z <= t.step_tolerance)",
+            "  error('z(0) is %g off the model''s, expected at most %g', error_of_z, t.step_tolerance);",
+            "end",
             "error_of_y = max(max(abs((simulated - t.y) ./ t.unit)));",
             "if ~(error_of_y <= t.tolerance)",
             "  error('the functions are %g deviations off the model, expected at most %g', error_of_y, t.tolerance);",
@@ -82,6 +87,7 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
         },
         "trial": {
             "u": trial.u, "y": trial.y, "z": trial.z, "unit": trial.unit,
+            "y0": trial.y0, "u0": trial.u0, "z0": trial.z0, "step_tolerance": TOLERANCE,
             "tolerance": TOLERANCE * min(trial.accumulation, 1e9),
         },
     }  # fmt: skip
@@ -120,8 +126,8 @@ def _check(folder: Path, name: str, octave: str, trial: Trial) -> Parity:
     with tempfile.TemporaryDirectory(prefix="nnss-octave-") as aside:
         result = Path(aside) / "result.mat"
         script = (
-            f"addpath('{folder}'); [z_next, y, simulated] = {name}_check(); "
-            f"save('-v6', '{result}', 'z_next', 'y', 'simulated');"
+            f"addpath('{folder}'); [z_next, y, simulated, started] = {name}_check(); "
+            f"save('-v6', '{result}', 'z_next', 'y', 'simulated', 'started');"
         )
         done = subprocess.run(
             [octave, "--no-gui", "--quiet", "--no-init-file", "--eval", script],
@@ -130,4 +136,5 @@ def _check(folder: Path, name: str, octave: str, trial: Trial) -> Parity:
         if done.returncode or not result.exists():
             raise ParityError(f"Octave: {' '.join(done.stderr.split())[:300]}; no file was written")
         found = scipy.io.loadmat(result)
-    return check("Octave", trial, (found["z_next"], found["y"]), found["simulated"], TOLERANCE)
+    steps = found["z_next"], found["y"]
+    return check("Octave", trial, steps, found["simulated"], TOLERANCE, found["started"][:, 0])

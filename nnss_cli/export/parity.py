@@ -41,7 +41,11 @@ class Trial:
     y: FloatArray
     """Outputs (K, m), physical units."""
     y0: FloatArray
-    """First measured output (m,)."""
+    """First W measured outputs (W m,), one below the other, from which `initial` starts."""
+    u0: FloatArray
+    """Their inputs (W r,)."""
+    z0: FloatArray
+    """z(0) (N,) that `initial` makes of them; that of the simulation is z[0], which may be found from a window."""
     unit: FloatArray
     """The unit of errors (K, m): the output's deviation, or how far it is from its mean where that is more."""
     accumulation: float
@@ -56,6 +60,8 @@ class Parity:
     """Which part of the export."""
     step: float
     """Largest error of one step from the reference's states: of outputs in their deviations, of states relative."""
+    start: float | None
+    """Largest error of z(0), relative; None where the export has no start."""
     simulation: float
     """Largest error of the outputs over the whole simulation, in their deviations."""
     tolerance: float
@@ -85,13 +91,14 @@ def trial_of(model: TrainedModel) -> Trial:
     if split is not None:
         record = records[split][0]
         source, u, y_init = f"its {split} record", record.u[:LONGEST], record.y[: model.init_window]
+        y_first = record.y[: system.first]
     else:
         s = model.scaling
         assert s is not None  # as whatever has an elementary step
         random = named_random(0, "parity")
         source, u = "a random input", s.u_mean + s.u_std * random.standard_normal((SAMPLES, system.inputs))
-        y_init = s.y_mean[None] + s.y_std * random.standard_normal((system.first, system.outputs))
-    z0 = model.initial_state(u, y_init)
+        y_first = y_init = s.y_mean[None] + s.y_std * random.standard_normal((system.first, system.outputs))
+    u_first, z0 = u[: system.first], model.initial_state(u, y_init)
     y, z = system.simulate(u, z0)
     finite = np.isfinite(y).all(axis=1) & np.isfinite(z).all(axis=1)
     K = len(u) if finite.all() else int(finite.argmin())
@@ -109,7 +116,8 @@ def trial_of(model: TrainedModel) -> Trial:
             f"the elementary step leaves the model's own simulation by {error:.1e} deviations on {source}: expected at "
             f"most {SAME_MODEL[precision] * accumulation:.1e}"
         )
-    return Trial(source, u, z, system.advance(z, u)[0], y, y_init[0], unit, accumulation)
+    begun = y_first.ravel(), u_first.ravel(), system.start(y_first, u_first)
+    return Trial(source, u, z, system.advance(z, u)[0], y, *begun, unit, accumulation)
 
 
 def _accumulation(system: System, u: FloatArray, z0: FloatArray, y: FloatArray, unit: FloatArray) -> float:
@@ -123,7 +131,12 @@ def _accumulation(system: System, u: FloatArray, z0: FloatArray, y: FloatArray, 
 
 
 def check(
-    what: str, trial: Trial, steps: tuple[FloatArray, FloatArray], simulated: FloatArray, tolerance: float
+    what: str,
+    trial: Trial,
+    steps: tuple[FloatArray, FloatArray],
+    simulated: FloatArray,
+    tolerance: float,
+    started: FloatArray | None = None,
 ) -> Parity:
     """Compare an export with the reference.
 
@@ -132,18 +145,28 @@ def check(
         trial: the reference.
         steps: its z(k+1) (K, N) and y(k) (K, m), from the reference's z(k).
         simulated: its y (K, m) of a simulation from z(0).
-        tolerance: of a step.
+        tolerance: of a step, and of the start.
+        started: its z(0) (N,) from the first samples; None where it has no start.
 
     Raises:
-        ParityError: one step or the simulation is off.
+        ParityError: one step, the start or the simulation is off.
     """
     z_next, y = steps
-    of_states = np.abs(z_next - trial.z_next) / (1 + np.abs(trial.z_next))
-    step = float(max(of_states.max(), np.abs((y - trial.y) / trial.unit).max()))
+    step = max(_relative(z_next, trial.z_next), float(np.abs((y - trial.y) / trial.unit).max()))
+    start = None if started is None else _relative(started, trial.z0)
+    if start is not None and not start <= tolerance:
+        raise ParityError(
+            f"{what}: z(0) from the first output is {start:.1e} off the model's: expected at most {tolerance:.1e}; no "
+            "file was written"
+        )
     simulation = float(np.abs((simulated - trial.y) / trial.unit).max())
     if not (step <= tolerance and simulation <= tolerance * trial.accumulation):
         raise ParityError(
             f"{what}: {step:.1e} a step and {simulation:.1e} over {len(trial.u)} samples of {trial.source} off the "
             f"model: expected at most {tolerance:.1e} and {tolerance * trial.accumulation:.1e}; no file was written"
         )
-    return Parity(what, step, simulation, tolerance, len(trial.u), trial.source)
+    return Parity(what, step, start, simulation, tolerance, len(trial.u), trial.source)
+
+
+def _relative(z: FloatArray, expected: FloatArray) -> float:
+    return float((np.abs(z - expected) / (1 + np.abs(expected))).max())

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from nnss_cli.datasets.catalog import load as load_dataset
 from nnss_cli.datasets.record import Channels, Scaling
 
@@ -21,7 +23,7 @@ from nnss_cli.experiment.execute import execute
 from nnss_cli.experiment.store import Store
 from nnss_cli.experiment.sweep import plan
 from nnss_cli.export import TARGETS, ParityError, c99, export, parity, write
-from nnss_cli.export.facts import facts_of
+from nnss_cli.export.facts import CERTIFIED, certificate_lines, facts_of
 from nnss_cli.methods import select
 from nnss_cli.model.architecture import COMBINATIONS, Architecture
 from nnss_cli.model.ensemble import Ensemble
@@ -192,6 +194,68 @@ def test_trained_models_on_their_whole_test_record(
         assert certificate["state_bound"] is None or f"{certificate['state_bound']:.6g}" in text
 
 
+STATED = {
+    "control": {"control.nlsys": 1e-12}, "casadi": {"CasADi": 1e-10}, "mat": {"Octave": 1e-12},
+    "onnx": {"ONNX, float32": 1e-5, "ONNX, float64": 1e-10}, "c": {"C99, double": 1e-12, "C99, float": 1e-5},
+}  # fmt: skip
+"""As docs/api.md has them: of a step and of the start, in units of the larger of deviation and distance from the mean,
+of states relative to 1 + |z|."""
+
+
+@pytest.mark.parametrize(("target", "what"), [(target, what) for target, own in STATED.items() for what in own])
+def test_an_export_is_refused_ten_times_the_stated_tolerance_away(
+    target: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reference is moved, which is the same, at the output farthest from its mean and at the largest state."""
+    model = untrained("schur", "x", 3, (2, 3))
+    for weight in model.model.generator[-1].parameters():
+        weight.data *= 20.0  # outputs leave their deviation
+    facts, trial, s = facts_of(model), parity.trial_of(model), model.scaling
+    module = import_module(write._TARGETS[target].module)
+    if hasattr(module, "TOLERANCES"):  # the other precision would be refused first
+        kind = what.split()[-1]
+        monkeypatch.setattr(module, "TOLERANCES", {kind: module.TOLERANCES[kind]})
+    distance = np.abs(trial.y - s.y_mean)
+    assert (distance / s.y_std).max() > 2
+    units = {
+        "y": np.maximum(s.y_std, distance) * (distance == distance.max()),
+        "z_next": (1 + np.abs(trial.z_next)) * (np.abs(trial.z_next) == np.abs(trial.z_next).max()),
+        "z0": 1 + np.abs(trial.z0),
+    }
+
+    def written(share: float, *parts: str) -> list[parity.Parity]:
+        moved = {part: getattr(trial, part) + share * STATED[target][what] * units[part] for part in parts}
+        return writer(target)(model, facts, replace(trial, **moved), tmp_path, "model")
+
+    (*checked,) = written(0.5, *units)
+    kept = scipy.io.loadmat(tmp_path / "model.mat", simplify_cells=True)["trial"] if target == "mat" else {}
+    if kept:  # for MATLAB, also where there is no Octave
+        assert kept["step_tolerance"] == 1e-12
+        assert kept["tolerance"] == pytest.approx(1e-12 * trial.accumulation)
+    if not checked:
+        assert target == "mat"
+        return
+    assert [(found.what, found.tolerance) for found in checked] == [(what, STATED[target][what])]
+    for part in units:
+        if part != "z0" or target != "onnx":  # which has no start
+            with pytest.raises(ParityError, match="Octave" if target == "mat" else f"{what}.*no file was written"):
+                written(10, part)
+
+
+def test_a_start_from_a_window_is_run_as_it_is_written(tmp_path: Path) -> None:
+    model = untrained("schur", "x+y", 2, (2, 3), encoder_window=4)
+    for target in ("control", "c", "casadi"):
+        for found in writer(target)(model, facts_of(model), parity.trial_of(model), tmp_path, "model"):
+            assert found.start is not None
+            assert found.start <= (1e-6 if found.what == "C99, float" else 1e-13)
+
+
+def test_the_certificate_in_words_tells_the_largest_radius() -> None:
+    own = dict.fromkeys(CERTIFIED) | {"stability": "none", "radius": {"train": 0.5, "test": 0.75}, "box_radius": 0.875}
+    (line,) = certificate_lines({"certificate": [own]})
+    assert "spectral radius of A at most 0.75 along the records, 0.875 found in their box" in line
+
+
 @pytest.mark.parametrize(
     "target", ["c", "mat", *(pytest.param(each, marks=pytest.mark.slow) for each in ("control", "casadi", "onnx"))]
 )
@@ -310,8 +374,6 @@ def test_c_takes_less_than_two_microseconds_a_step(width: int, tried: Callable, 
 
 def test_comments_cannot_be_left(tmp_path: Path) -> None:
     """A channel's name is the user's: it may hold what ends a comment."""
-    from dataclasses import replace
-
     model = untrained("schur", "x", 1, (1, 1))
     model.model.channels = replace(model.channels, inputs=("u */ int x;\n#error\n",))
     for target in ("c", "control", "mat", "onnx"):
