@@ -12,6 +12,7 @@ import numpy as np
 from nnss_cli.datasets.description import Description
 from nnss_cli.datasets.formats import numbers, place, read_table, times
 from nnss_cli.datasets.preparation import (
+    PartName,
     Where,
     check_agreement,
     check_complete,
@@ -57,21 +58,26 @@ class Experiments:
 
 
 @dataclass(frozen=True)
-class _Signals:
+class Signals:
     """A file's signals on a uniform time axis."""
 
     file: str
+    """As the description names it."""
     names: tuple[str, ...]
-    values: FloatArray  # (K, r + m)
+    """Inputs, then outputs."""
+    values: FloatArray
+    """(K, r + m), physical units."""
     Ts: float
+    """Sampling time [s]."""
     notes: tuple[str, ...]
+    """What was filled in or resampled."""
 
 
 @dataclass(frozen=True)
 class _Part:
     """A file's samples in one part."""
 
-    signals: _Signals
+    signals: Signals
     samples: slice
 
     @property
@@ -97,8 +103,8 @@ def load_experiments(description: Description) -> Experiments:
     first = parts["train"][0].signals
     for name, group in parts.items():
         for part in group:
-            _check_alike(first, part.signals)
-            _check_length(name, part, description)
+            check_alike(first, part.signals)
+            check_length(name, part.signals.file, len(part.values), description)
     _check_varying(parts["train"], r)
     drift = fit_drift([(part.t, part.values) for part in parts["train"]]) if description.detrend == "linear" else None
 
@@ -142,16 +148,7 @@ def load_experiments(description: Description) -> Experiments:
 
 def _parts(description: Description) -> dict[str, list[_Part]]:
     """The parts by name, "train" and "val" first, each with its files' samples."""
-    roles = {"train": description.files, "val": description.val, "test": sum(description.test.values(), ())}
-    role_of: dict[Path, str] = {}
-    for role, files in roles.items():
-        for file in files:
-            other = role_of.setdefault(description.path(file), role)
-            if other != role:
-                raise InputError(
-                    f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
-                )
-    read = {file: _signals(description, file) for files in roles.values() for file in files}
+    read = {file: read_signals(description, file) for files in files_by_role(description).values() for file in files}
     parts: dict[str, list[_Part]] = {"train": [], "val": []}
     for file in description.files:
         K = len(read[file].values)
@@ -163,7 +160,32 @@ def _parts(description: Description) -> dict[str, list[_Part]]:
     return parts
 
 
-def _signals(description: Description, file: str) -> _Signals:
+def files_by_role(description: Description) -> dict[PartName, tuple[str, ...]]:
+    """The files that train, validate and test.
+
+    Raises:
+        InputError: a file stands under two of them.
+    """
+    roles: dict[PartName, tuple[str, ...]] = {
+        "train": description.files, "val": description.val, "test": sum(description.test.values(), ()),
+    }  # fmt: skip
+    role_of: dict[Path, str] = {}
+    for role, files in roles.items():
+        for file in files:
+            other = role_of.setdefault(description.path(file), role)
+            if other != role:
+                raise InputError(
+                    f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
+                )
+    return roles
+
+
+def read_signals(description: Description, file: str) -> Signals:
+    """The signals of a described file, up to the split: columns, time axis, missing samples, resampled, downsampled.
+
+    Raises:
+        InputError: whatever is wrong in the file, in one line that names it.
+    """
     path = description.path(file)
     columns = [*description.inputs, *description.outputs]
     wanted = columns if description.time is None else [*columns, description.time]
@@ -204,7 +226,7 @@ def _signals(description: Description, file: str) -> _Signals:
     if description.downsample > 1:
         with _naming(path):
             values, Ts = downsample(values, description.downsample), Ts * description.downsample
-    return _Signals(file, signals, values, Ts, tuple(notes))
+    return Signals(file, signals, values, Ts, tuple(notes))
 
 
 def _time_axis(description: Description, t: FloatArray | None, K: int, where: Where) -> tuple[FloatArray, float]:
@@ -232,7 +254,8 @@ def _naming(path: Path) -> Iterator[None]:
         raise error if told.startswith(f"'{path.name}'") else InputError(f"'{path.name}': {told}") from error
 
 
-def _check_alike(first: _Signals, other: _Signals) -> None:
+def check_alike(first: Signals, other: Signals) -> None:
+    """Refuse a file of other channels or of another sampling time than the first."""
     if other.names != first.names:
         raise InputError(
             f"'{other.file}' has the channels {', '.join(other.names)}, expected {', '.join(first.names)} as in "
@@ -242,11 +265,12 @@ def _check_alike(first: _Signals, other: _Signals) -> None:
         check_agreement(first.Ts, other.Ts, f"against '{first.file}'")
 
 
-def _check_length(name: str, part: _Part, description: Description) -> None:
+def check_length(name: str, file: str, K: int, description: Description) -> None:
+    """Refuse a part of K samples that is too short for the description's window and orders."""
     least = max(description.init_window, *description.orders, 1) + 1
-    if len(part.values) < least:
+    if least > K:
         raise InputError(
-            f"'{part.signals.file}': {len(part.values)} samples are too few for {name}: expected {least} or more, one "
+            f"'{file}': {K} samples are too few for {name}: expected {least} or more, one "
             "beyond the init_window and the largest order: take a longer record or another split"
         )
 

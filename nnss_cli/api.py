@@ -185,7 +185,8 @@ def inspect(files: str | Path | Sequence[str | Path], **record: Any) -> Seen:
 
     Args:
         files: a description (.toml), or a file for each experiment.
-        record: keys of a description; roles of columns are guessed by their names where they are not given.
+        record: keys of a description; roles of columns are guessed by their names where they are not given, and a
+            split, orders and a window recommended.
 
     Returns:
         `found` is the inspection (`found.remarks` in sentences), `roles` which column was taken for what.

@@ -29,6 +29,8 @@ def command(
     """Say what is in a record: length, gaps, excitation, delays, coherence, a first guess of the order, a split.
 
     Columns whose roles are not given are guessed by their names; it is said how, and marked in what --write writes.
+    A split, orders and a window that are not given are recommended.
+    Asked for --missing, --resample, --downsample or --detrend, it shows the record after that, as training takes it.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError

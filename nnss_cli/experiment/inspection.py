@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from nnss_cli.datasets.preparation import Where
+from nnss_cli.datasets.preparation import Where, fit_drift
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import (
@@ -32,6 +32,7 @@ from nnss_cli.experiment.inspection_result import (
     remarks_on,
 )
 from nnss_cli.experiment.inspection_signals import (
+    Channel,
     Persistency,
     examine_channel,
     examine_clock,
@@ -40,7 +41,7 @@ from nnss_cli.experiment.inspection_signals import (
     persistency,
     runs,
 )
-from nnss_cli.experiment.inspection_split import Split, recommend_split
+from nnss_cli.experiment.inspection_split import Part, Split, checked, recommend_split
 
 Columns: TypeAlias = Mapping[str, FloatArray]
 
@@ -56,6 +57,10 @@ def examine(
     time: FloatArray | Sequence[FloatArray] | None = None,
     units: Mapping[str, str] | None = None,
     where: Sequence[Where] | None = None,
+    split: Split | None = None,
+    init_window: int | None = None,
+    orders: Sequence[int] = (),
+    detrend: str = "none",
 ) -> Inspection:
     """Examine a record, or several experiments given as sequences.
 
@@ -66,6 +71,10 @@ def examine(
         time: instants [s] (K,) of each experiment, if there is a time column.
         units: name → unit.
         where: names a sample of each experiment in the remarks, as its file counts it.
+        split: what trains, validates and tests; None to recommend it.
+        init_window: samples to find x(0) from; None to recommend it.
+        orders: to be compared; none to recommend them.
+        detrend: "linear" takes the drift of the training part off, of complete records; "none" and "constant" nothing.
 
     Raises:
         InputError: columns that are no numbers, of different lengths, or that differ between experiments; Ts ≤ 0.
@@ -74,12 +83,22 @@ def examine(
         raise InputError(f"Ts: expected a positive sampling time in seconds, found {Ts}")
     experiments, names, r, times = _read(inputs, outputs, time)
     clock = examine_clock(Ts, times)
-    channels = tuple(
-        examine_channel(
-            name, "input" if i < r else "output", (units or {}).get(name, "–"), [data[:, i] for data in experiments]
+    asked = {"split": split, "orders": orders, "init_window": init_window}
+
+    def columns() -> tuple[Channel, ...]:
+        return tuple(
+            examine_channel(
+                name, "input" if i < r else "output", (units or {}).get(name, "–"), [data[:, i] for data in experiments]
+            )
+            for i, name in enumerate(names)
         )
-        for i, name in enumerate(names)
-    )
+
+    channels = columns()
+    split = split or recommend_split(experiments, channels)
+    if detrend == "linear":
+        experiments = _without_drift(experiments, split.train)
+        channels = columns()
+    split = checked(split, experiments, channels)
     alive = [i for i, c in enumerate(channels) if c.kind not in ("empty", "constant") and 2 * c.missing <= c.samples]
     live_inputs, live_outputs = [i for i in alive if i < r], [i for i in alive if i >= r]
     scaled = _scaled(experiments, alive)
@@ -115,7 +134,6 @@ def examine(
                 None if gain is None else gain.gain, None if gain is None else gain.p_value,
             )
         )  # fmt: skip
-    split = recommend_split(experiments, channels)
     order = _order(scaled, split, q, len(live_outputs), used)
     shortest = min((part.stop - part.start for part in (*split.train, *split.val, *split.test)), default=1)
     longest_delay = max((delay.samples or 0 for delay in delays), default=0)
@@ -123,9 +141,10 @@ def examine(
     known = Inspection(
         tuple(len(data) for data in experiments), clock, channels, copies, tuple(excitation), joint,
         _spectrum(power, [names[i] for i in alive], clock.Ts), tuple(delays), tuple(linearity), order, split,
-        () if n is None else tuple(range(max(1, n - 1), n + 2)),
-        max(1, min(WINDOW, 4 * (n or 1) + longest_delay, shortest // 10)), tuple(used), (),
+        tuple(orders) or (() if n is None else tuple(range(max(1, n - 1), n + 2))),
+        init_window or max(1, min(WINDOW, 4 * (n or 1) + longest_delay, shortest // 10)), tuple(used), (),
         tuple(_envelope(name, [data[:, i] for data in experiments], clock.Ts) for i, name in enumerate(names)),
+        tuple(name for name, value in asked.items() if value),
     )  # fmt: skip
     return dataclasses.replace(known, remarks=remarks_on(known, where))
 
@@ -178,6 +197,16 @@ def _column(name: str, values: Any) -> FloatArray:
     if column.ndim != 1:
         raise InputError(f"column '{name}': expected one column of samples, found an array of shape {column.shape}")
     return column
+
+
+def _without_drift(experiments: Sequence[FloatArray], train: Sequence[Part]) -> list[FloatArray]:
+    """The records (K, c) without the drift of their training parts, a line in the samples of each experiment."""
+    t = [np.arange(len(data), dtype=np.float64) for data in experiments]
+    parts = [(t[p.experiment][p.start : p.stop], experiments[p.experiment][p.start : p.stop]) for p in train]
+    if sum(len(instants) for instants, _ in parts) < 2:
+        return list(experiments)
+    drift = fit_drift(parts)
+    return [data - drift.at(instants) for instants, data in zip(t, experiments, strict=True)]
 
 
 def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int]) -> list[FloatArray]:

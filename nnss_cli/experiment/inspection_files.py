@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from nnss_cli.datasets.description import Description, read_description, write_description
+from nnss_cli.datasets.description import Description, write_description
+from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
 from nnss_cli.datasets.formats import find_column, numbers, place, read_table, times
+from nnss_cli.datasets.preparation import PartName, Where, cut
+from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.units import unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
-from nnss_cli.experiment.source import record_name
+from nnss_cli.experiment.inspection_split import Part, Split
+from nnss_cli.experiment.source import describe, described_with, record_name
 
 _TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
 _OUTPUT = re.compile(r"(y|out|output)([^a-z].*)?", re.IGNORECASE)
+
+PREPARATION = {"missing": "refuse", "resample": None, "downsample": 1, "detrend": "none"}  # field → that of none
 
 
 @dataclass(frozen=True)
@@ -57,38 +64,112 @@ class Seen:
         return self.roles.guesses
 
 
+@dataclass(frozen=True)
+class _Experiments:
+    """Files as `examine` takes them."""
+
+    data: list[FloatArray]
+    """Inputs and outputs of each (K, r + m)."""
+    Ts: float | None
+    """Sampling time [s]; None to take it from `times`."""
+    times: list[FloatArray] | None = None
+    """Instants of each [s] (K,)."""
+    where: list[Where] | None = None
+    """Names a sample of each."""
+    used: tuple[str, ...] = ()
+    """What was done to them, in sentences."""
+
+
 def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
-    """Inspect files: a description's training files, or one experiment a file.
+    """Inspect files: a description's, or one experiment a file.
+
+    They are taken as they are, gaps and all, unless a preparation is asked for: then as training takes them.
 
     Args:
         names: a description (.toml) alone, or files of samples.
-        own: fields of a description that the command line sets; inputs, outputs, time, Ts, sheet and units count.
+        own: fields of a description that the command line sets; they go before those of the file.
 
     Raises:
-        InputError: a file cannot be read, or has no such column.
+        InputError: a file cannot be read, has no such column or cannot be prepared as asked; a field is wrong.
     """
-    paths = [Path(name) for name in names]
-    fields = dict(own)
-    if any(path.suffix.lower() == ".toml" for path in paths):
-        if len(paths) > 1:
+    plan: Description | None = None
+    if any(name.lower().endswith(".toml") for name in names):
+        if len(names) > 1:
             raise InputError(f"'{names[0]}': a description is inspected alone, found {len(names)} files")
-        described = read_description(paths[0])
-        fields = {key: getattr(described, key) for key in ("inputs", "outputs", "time", "Ts", "sheet", "name")} | fields
-        fields.setdefault("input_units", described.input_units)
-        fields.setdefault("output_units", described.output_units)
-        paths = [described.path(file) for file in described.files]
-    tables = [read_table(path, None, fields.get("sheet")) for path in paths]
-    roles = assign_roles(tables[0], fields)
+        plan = described_with(Path(names[0]), own)
+    fields = own if plan is None else vars(plan)
+    first = Path(names[0]) if plan is None else plan.path(plan.files[0])
+    table = read_table(first, None, fields.get("sheet"))
+    roles = assign_roles(table, fields)
     units = dict(zip((*roles.inputs, *roles.outputs), _units(roles, fields), strict=True))
+    if plan is None and any(key in own for key in (*PREPARATION, "split", "val", "test", "init_window", "orders")):
+        plan = describe(names, {**own, "inputs": roles.inputs, "outputs": roles.outputs, "time": roles.time})
+    files = list(names) if plan is None else [file for group in files_by_role(plan).values() for file in group]
+    if plan is not None and any(getattr(plan, key) != nothing for key, nothing in PREPARATION.items()):
+        read = _as_trained(plan, files)
+    else:
+        paths = [Path(file) if plan is None else plan.path(file) for file in files[1:]]
+        read = _as_they_are([table, *(read_table(path, None, fields.get("sheet")) for path in paths)], roles, fields)
+    r = len(roles.inputs)
     found = examine(
-        [{name: numbers(table, find_column(table, name)) for name in roles.inputs} for table in tables],
-        [{name: numbers(table, find_column(table, name)) for name in roles.outputs} for table in tables],
+        [dict(zip(roles.inputs, data.T[:r], strict=True)) for data in read.data],
+        [dict(zip(roles.outputs, data.T[r:], strict=True)) for data in read.data],
+        read.Ts, read.times, units, read.where, **({} if plan is None else _planned(plan, own, read.data)),
+    )  # fmt: skip
+    if plan is not None:
+        for role in ("train", "val", "test"):
+            for part in getattr(found.split, role):
+                check_length(role, files[part.experiment], part.stop - part.start, plan)
+    if read.used:
+        found = replace(found, clock=replace(found.clock, source="preparation"))
+    return Seen(fields.get("name") or record_name(first), replace(found, used=(*read.used, *found.used)), roles)
+
+
+def _as_they_are(tables: Sequence[pd.DataFrame], roles: Roles, fields: Mapping[str, Any]) -> _Experiments:
+    columns = [[find_column(table, name) for name in (*roles.inputs, *roles.outputs)] for table in tables]
+    return _Experiments(
+        [
+            np.column_stack([numbers(table, name) for name in names])
+            for table, names in zip(tables, columns, strict=True)
+        ],
         fields.get("Ts"),
-        [times(table, find_column(table, roles.time)) for table in tables] if roles.time else None,
-        units,
+        None if roles.time is None else [times(table, find_column(table, roles.time)) for table in tables],
         [partial(place, table) for table in tables],
     )
-    return Seen(fields.get("name") or record_name(paths[0]), found, roles)
+
+
+def _as_trained(plan: Description, files: Sequence[str]) -> _Experiments:
+    """The files' signals up to the split, with training's refusals; the trend is taken off after the split."""
+    signals = [read_signals(plan, file) for file in files]
+    for other in signals[1:]:
+        check_alike(signals[0], other)
+    steps = [f"{key} {getattr(plan, key)}" for key, nothing in PREPARATION.items() if getattr(plan, key) != nothing]
+    used = (
+        f"All of this is of the record as training takes it, after its preparation: {', '.join(steps)}.",
+        *(note for each in signals for note in each.notes),
+    )
+    return _Experiments([each.values for each in signals], signals[0].Ts, used=used)
+
+
+def _planned(plan: Description, own: Mapping[str, Any], data: Sequence[FloatArray]) -> dict[str, Any]:
+    """What of the split, window, orders and trend is given, as `examine` takes it."""
+    split = None
+    if plan.split or plan.val or plan.test:
+        parts: dict[PartName, list[Part]] = {"train": [], "val": [], "test": []}
+        roles = [role for role, files in files_by_role(plan).items() for _ in files]
+        for e, (role, values) in enumerate(zip(roles, data, strict=True)):
+            whole: Mapping[PartName, slice] = {role: slice(0, len(values))}
+            for name, at in (cut(len(values), plan.parts) if role == "train" else whole).items():
+                parts[name] += [Part(e, at.start, at.stop)] if at.stop > at.start else []
+        shares = "/".join(f"{100 * part:g}" for part in plan.parts)
+        rules = (
+            ("files of their own validate", plan.val), (f"{shares} in time order", not plan.val),
+            ("files of their own test", plan.test),
+        )  # fmt: skip
+        rule = ", ".join(text for text, holds in rules if holds)
+        split = Split(rule, tuple(parts["train"]), tuple(parts["val"]), tuple(parts["test"]), ())
+    window = plan.init_window if plan.init_window > 1 or "init_window" in own else None
+    return {"split": split, "init_window": window, "orders": plan.orders, "detrend": plan.detrend}
 
 
 def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
@@ -151,32 +232,29 @@ def suggested(seen: Seen, names: Sequence[str], own: Mapping[str, Any], target: 
     if not seen.roles.inputs:
         raise InputError("--inputs: expected at least one input for a description, found none")
     folder = target.resolve().parent
-    files = [_relative(Path(name).resolve(), folder) for name in names]
-    split, found = seen.found.split, seen.found
-    parts = {
-        role: {part.experiment for part in getattr(split, role)} for role in ("train", "val", "test")
-    }  # experiments that a role has a part of
-    val = tuple(files[i] for i in sorted(parts["val"] - parts["train"]))
-    test = tuple(files[i] for i in sorted(parts["test"] - parts["train"] - parts["val"]))
-    percent = re.match(r"\d+/\d+/\d+", split.rule)
-    description = Description(
-        name=seen.name,
-        files=tuple(files[i] for i in sorted(parts["train"])) or tuple(files),
-        val=val,
-        test={"test": test} if test else {},
-        inputs=seen.roles.inputs,
-        outputs=seen.roles.outputs,
-        input_units=tuple(own.get("input_units") or ()),
-        output_units=tuple(own.get("output_units") or ()),
-        time=seen.roles.time,
-        Ts=own.get("Ts") if seen.roles.time is None else None,
-        split=None if val or test or not percent else percent.group(),
-        init_window=max(1, found.init_window),
-        orders=found.orders,
-        sheet=own.get("sheet"),
-        allow_outside=any(file.startswith(("..", "/")) for file in files),
-        folder=folder,
+    files, val, test = (
+        tuple(_relative(Path(name).resolve(), folder) for name in group)
+        for group in (names, own.get("val") or (), own.get("test") or ())
     )
+    found = seen.found
+    proposed: dict[str, Any] = {"init_window": found.init_window, "orders": found.orders}
+    if "split" not in found.given:
+        train, validating, testing = (
+            {part.experiment for part in parts} for parts in (found.split.train, found.split.val, found.split.test)
+        )  # experiments that a role has a part of
+        val = tuple(files[i] for i in sorted(validating - train))
+        test = tuple(files[i] for i in sorted(testing - train - validating))
+        percent = re.match(r"\d+/\d+/\d+", found.split.rule)
+        proposed["split"] = None if val or test or not percent else percent.group()
+        files = tuple(files[i] for i in sorted(train)) or files
+    description = Description(
+        **{
+            **proposed, **own, "name": seen.name, "files": files, "val": val, "test": test, "time": seen.roles.time,
+            "inputs": seen.roles.inputs, "outputs": seen.roles.outputs,
+        },
+        allow_outside=any(file.startswith(("..", "/")) for file in (*files, *val, *test)),
+        folder=folder,
+    )  # fmt: skip
     return write_description(description, dict.fromkeys(seen.roles.guessed, "Guessed by 'nnss inspect': check it."))
 
 

@@ -132,17 +132,19 @@ class Inspection:
     order: OrderGuess
     """A first guess of the linear order."""
     split: Split
-    """The recommended split."""
+    """The split, given or recommended."""
     orders: tuple[int, ...]
-    """Orders worth trying; empty where there is no guess."""
+    """Orders given, or worth trying; empty where there is no guess."""
     init_window: int
-    """Samples recommended to find x(0) from: 4 n and the longest delay, at most 50 and a tenth of any part; a rule."""
+    """Samples to find x(0) from, given or by a rule: 4 n and the longest delay, at most 50 and a tenth of any part."""
     used: tuple[str, ...]
     """Which part of the data each analysis took, where not all of it."""
     remarks: tuple[str, ...]
     """What a user should know, in sentences."""
     envelopes: tuple[Envelope, ...]
     """The channels over time, for the figure."""
+    given: tuple[str, ...] = ()
+    """Which of split, orders and init_window were given, not recommended."""
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON can hold it."""
@@ -319,7 +321,8 @@ def _split(found: Inspection) -> Iterator[str]:
     split = found.split
     if sum(found.samples) < 100:
         yield f"The record has {sum(found.samples)} samples: too few for more than a first look."
-    if split.rule != "60/20/20 in time order" and split.rule.endswith("time order"):
+    given = "split" in found.given
+    if not given and split.rule != "60/20/20 in time order" and split.rule.endswith("time order"):
         yield f"The split recommended is {split.rule}: with 60/20/20 more parts would be at rest or out of range."
     for warning in split.warnings:
-        yield f"With the recommended split ({split.rule}), {warning}."
+        yield f"With the {'given' if given else 'recommended'} split ({split.rule}), {warning}."

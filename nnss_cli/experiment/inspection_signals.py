@@ -41,7 +41,7 @@ class Clock:
 
     Ts: float | None
     """Sampling time [s]: as given, else the time column's `step`; None where neither is there."""
-    source: Literal["given", "time column", "unknown"]
+    source: Literal["given", "time column", "preparation", "unknown"]
     """Where Ts comes from."""
     step: float | None
     """Usual step of the (first) time column [s], by the rule of training: mean of those within 1 % of the median, to

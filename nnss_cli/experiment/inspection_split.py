@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nnss_cli.datasets.preparation import cut, parse_split
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.experiment.inspection_signals import Channel
 
 # tried in this order; the first with the fewest parts at rest or far out of range is recommended
-SHARES = ((60, 20, 20), (50, 30, 20), (50, 25, 25), (40, 30, 30))
+SHARES = ("60/20/20", "50/30/20", "50/25/25", "40/30/30")
 BEYOND = 0.02  # share of samples outside the training range that is worth a warning
 FAR = 0.1  # share that is worth another split
 PART_NAMES = ("training", "validation", "test")
@@ -65,21 +66,27 @@ def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channe
         parts = [Part(e, 0, K) for e, K in enumerate(lengths)]
         return _checked("whole experiments", parts[:-2], parts[-2:-1], parts[-1:], experiments, channels)[0]
     if len(experiments) == 2:
-        K = lengths[0] * 3 // 4
-        first, rest = Part(0, 0, K), Part(0, K, lengths[0])
+        at = cut(lengths[0], (0.75, 0.25, 0.0))
+        first, rest = Part(0, 0, at["train"].stop), Part(0, at["val"].start, lengths[0])
         rule = "the second experiment tests, the last quarter of the first validates"
         return _checked(rule, [first], [rest], [Part(1, 0, lengths[1])], experiments, channels)[0]
     K = lengths[0] if lengths else 0
     best: tuple[Split, int] | None = None
     for shares in SHARES:
-        a, b = K * shares[0] // 100, K * (shares[0] + shares[1]) // 100
-        rule = f"{'/'.join(map(str, shares))} in time order"
-        train, val, test = ([Part(0, start, stop)] if K else [] for start, stop in ((0, a), (a, b), (b, K)))
+        rule = f"{shares} in time order"
+        at = cut(K, parse_split(shares))
+        train, val, test = ([Part(0, at[name].start, at[name].stop)] if K else [] for name in ("train", "val", "test"))
         found = _checked(rule, train, val, test, experiments, channels)
         if best is None or found[1] < best[1]:
             best = found
     assert best is not None
     return best[0]
+
+
+def checked(split: Split, experiments: Sequence[FloatArray], channels: Sequence[Channel]) -> Split:
+    """The split with its warnings on these columns."""
+    parts = [*split.train], [*split.val], [*split.test]
+    return _checked(split.rule, *parts, experiments, channels)[0]
 
 
 def _checked(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,7 @@ def ready(
     return Ready(dataset_of(load_experiments(description), steady_outputs), description.orders, settings)
 
 
-def describe(names: Sequence[str], own: dict[str, Any], title: Callable[[str], str] = str) -> Description:
+def describe(names: Sequence[str], own: Mapping[str, Any], title: Callable[[str], str] = str) -> Description:
     """A description read from its file, or made of the fields given, which go before the file's keys.
 
     Raises:
@@ -106,21 +106,26 @@ def describe(names: Sequence[str], own: dict[str, Any], title: Callable[[str], s
     if described:
         if len(names) > 1:
             raise InputError(f"'{described[0]}' describes its files: expected it alone, found {len(names)} files")
-        return replace(read_description(Path(described[0])), **_beside(own, Path(described[0]).parent))
+        return described_with(Path(described[0]), own)
     for needed in ("inputs", "outputs"):
         if needed not in own:
             raise InputError(
                 f"{title(needed)}: expected the columns of the {needed}; 'nnss inspect {names[0]}' shows what there is"
             )
     return Description(
-        files=tuple(names), **{"name": record_name(names[0])} | own, folder=Path.cwd(), allow_outside=True
+        files=tuple(names), **{"name": record_name(names[0]), **own}, folder=Path.cwd(), allow_outside=True
     )
 
 
-def _beside(own: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Options beside a description: files named on the command line start at the working folder."""
+def described_with(path: Path, own: Mapping[str, Any]) -> Description:
+    """The description in a file with the fields given beside it, whose files start at the working folder.
+
+    Raises:
+        InputError: no such file, or a wrong field.
+    """
     files = {key: tuple(str(Path(file).resolve()) for file in own[key]) for key in ("val", "test") if key in own}
-    return own | files | ({"allow_outside": True} if files else {}) | {"folder": folder}
+    outside = {"allow_outside": True} if files else {}
+    return replace(read_description(path), **{**own, **files, **outside, "folder": path.parent})
 
 
 def record_name(file: str | Path) -> str:

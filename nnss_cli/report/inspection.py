@@ -116,15 +116,16 @@ def order_rows(found: Inspection) -> list[dict[str, str]]:
 
 
 def record_rows(found: Inspection) -> list[dict[str, str]]:
-    """The record as a whole, and what is recommended."""
+    """The record as a whole, and what is given or recommended."""
     clock = found.clock
+    given = dict.fromkeys(found.given, " (given)")
     rows = {
         "samples": " + ".join(map(str, found.samples)) or "0",
         "Ts": "unknown" if clock.Ts is None else f"{clock.Ts:.9g} s ({clock.source})",
         "jitter": "–" if clock.jitter is None else percent(clock.jitter, 2) + " of a step at most",
-        "split": found.split.rule,
-        "orders": " ".join(map(str, found.orders)) or "–",
-        "init window": f"{found.init_window} samples",
+        "split": found.split.rule + given.get("split", ""),
+        "orders": (" ".join(map(str, found.orders)) or "–") + given.get("orders", ""),
+        "init window": f"{found.init_window} samples" + given.get("init_window", ""),
     }
     return [{"record": key, "": value} for key, value in rows.items()]
 

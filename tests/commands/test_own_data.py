@@ -143,6 +143,46 @@ def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) 
     assert [c["unit"] for c in found["channels"]] == ["–", "–", "mm"]
 
 
+def test_inspect_shows_and_writes_what_it_is_given(nnss: Callable, here: Path) -> None:
+    write_csv(plant(0).assign(level=lambda table: table["level"] + 0.1 * table["t"]), here / "plant.csv")
+    outcome = nnss(
+        "inspect", "plant.csv", "--inputs", "2", "3", "--outputs", "4", "--time", "t", "--split", "70/20/10",
+        "--init-window", "5", "--detrend", "linear", "--downsample", "2", "--write", "p70.toml",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    shown = {line.split("  ")[0]: line for line in outcome.out.splitlines() if "  " in line}
+    assert shown["samples"].endswith(" 120")
+    assert shown["Ts"].endswith(" 0.2 s (preparation)")
+    assert shown["split"].endswith("70/20/10 in time order (given)")
+    assert shown["init window"].endswith("5 samples (given)")
+    assert "after its preparation: downsample 2, detrend linear." in outcome.out
+    text = Path("p70.toml").read_text()
+    for line in ('split = "70/20/10"', "init_window = 5", 'detrend = "linear"', "downsample = 2"):
+        assert f"\n{line}\n" in text
+
+
+def test_every_option_of_a_record_is_in_the_description_that_inspect_writes(nnss: Callable, here: Path) -> None:
+    from nnss_cli.datasets.description import read_description
+
+    from nnss_cli.commands.record_options import RECORD_OPTIONS, as_arguments
+
+    for number, name in enumerate(("plant.csv", "val.csv", "test.csv")):
+        write_csv(plant(number), here / name)
+    values = {
+        "inputs": ("valve",), "outputs": ("level",), "input_units": ("%",), "output_units": ("mm",), "time": "t",
+        "Ts": 0.1, "resample": 0.2, "downsample": 2, "missing": "interpolate", "split": "50/25/25", "val": ("val.csv",),
+        "test": ("test.csv",), "detrend": "constant", "init_window": 3, "name": "mine",
+    }  # fmt: skip
+    assert values.keys() == RECORD_OPTIONS.keys() - {"sheet"}  # of Excel files
+    for field, value in values.items():
+        own = {"inputs": ("valve",), "outputs": ("level",), "time": "t"} | {field: value}
+        line = as_arguments(["plant.csv"], {key: list(v) if isinstance(v, tuple) else v for key, v in own.items()})
+        outcome = nnss("inspect", *shlex.split(line), "--write", "x.toml", "--force", "--json")
+        assert outcome.code == 0, outcome.err
+        found = getattr(read_description(Path("x.toml")), field)
+        assert found == ({"test": value} if field == "test" else value), field
+
+
 def test_a_quiet_inspection_says_in_the_description_what_it_guessed(nnss: Callable, here: Path) -> None:
     write_csv(plant(0).assign(spare=np.nan, shift="late"), here / "plant.csv")
     outcome = nnss("inspect", "plant.csv", "--time", "t", "--write", "plant.toml", "--quiet")
@@ -232,6 +272,13 @@ def test_own_data_take_searched_horizons_and_order_and_compare_agree(nnss: Calla
         ("inspect missing.csv", ["missing.csv"]),
         ("inspect words.csv", ["words.csv", "column of numbers"]),
         ("inspect nots.csv --write nots.toml", ["--ts"]),
+        ("inspect plant.csv --outputs level --time t --split 70/20 --write x.toml", ["split '70/20'", "60/20/20"]),
+        ("inspect plant.csv --outputs level --time t --missing drop --write x.toml", ["missing", "'drop'"]),
+        ("inspect plant.csv --outputs level --time t --init-window 60 --write x.toml", ["too few", "init_window"]),
+        ("inspect plant.csv --outputs level --time t --test plant.csv --write x.toml", ["stands under two"]),
+        ("inspect plant.csv --outputs level --time t --val none.csv --write x.toml", ["none.csv"]),
+        ("inspect jump.csv --outputs y --time t --downsample 2 --write x.toml", ["jump.csv' row", "resample"]),
+        ("inspect nots.csv --outputs y --downsample 2", ["Ts", "sampling time"]),
         ("train plant.csv --inputs valve --outputs level --ts 1 --order 0", ["order", "found 0"]),
         ("certify nowhere --data plant.csv", ["nowhere"]),
     ],

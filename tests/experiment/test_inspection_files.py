@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from nnss_cli.datasets.description import read_description
+from nnss_cli.datasets.experiments import load_experiments
+from scipy.signal import lfilter
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_files import Roles, Seen, assign_roles, examine_files, suggested
@@ -196,11 +198,96 @@ def test_the_sampling_time_is_that_of_training_and_of_its_advice(here: Path) -> 
         ready(["gap.csv"], own=roles)
 
 
+# what is given
+
+GIVEN: dict[str, dict[str, Any]] = {
+    "split": {"split": "70/20/10"}, "init_window": {"init_window": 5}, "orders": {"orders": (1, 4)},
+    "constant": {"detrend": "constant"}, "linear": {"detrend": "linear", "split": "50/30/20"},
+    "downsample": {"downsample": 3}, "resample": {"resample": 0.75}, "missing": {"missing": "interpolate"},
+    "all": {"missing": "interpolate", "downsample": 2, "detrend": "linear", "split": "70/20/10", "init_window": 5},
+    "test": {"test": ("test.csv",), "detrend": "linear"}, "val": {"val": ("val.csv",), "downsample": 2},
+    "both": {"val": ("val.csv",), "test": ("test.csv",)},
+}  # fmt: skip
+
+
+@pytest.fixture
+def drifting(here: Path) -> Path:
+    """Files with a drift; the first misses a sample."""
+    for seed, name in enumerate(("a.csv", "val.csv", "test.csv")):
+        u = np.random.default_rng(seed).standard_normal(400 + 40 * seed)
+        y = lfilter([0, 1.0], [1, -0.8], u) + 0.02 * np.arange(len(u)) + 7
+        y += 0.1 * np.random.default_rng(9).standard_normal(len(u))
+        pd.DataFrame({"t": 0.5 * np.arange(len(u)), "u": u, "y": y}).to_csv(name, index=False)
+    return here
+
+
+@pytest.mark.parametrize("case", GIVEN)
+def test_what_is_shown_is_the_record_that_training_reads_in_the_description_written(case: str, drifting: Path) -> None:
+    given = GIVEN[case]
+    if "missing" in given:
+        table = pd.read_csv("a.csv")
+        table.loc[50, "y"] = np.nan
+        table.to_csv("a.csv", index=False)
+    own = {"inputs": (2,), "outputs": (3,), "time": "t"} | given
+    shown = examine_files(["a.csv"], own)
+    Path("x.toml").write_text(suggested(shown, ["a.csv"], own, Path("x.toml")), encoding="utf-8")
+    description = read_description(Path("x.toml"))
+    trained = load_experiments(description)
+    parts = {"train": trained.train, "val": trained.val, "test": trained.tests.get("test", ())}
+    for role, records in parts.items():
+        assert [part.stop - part.start for part in getattr(shown.found.split, role)] == list(map(len, records))
+    for i, channel in enumerate(shown.found.channels):
+        values = np.concatenate([np.column_stack([r.u, r.y])[:, i] for records in parts.values() for r in records])
+        assert (channel.samples, channel.missing) == (len(values), 0)
+        assert channel.mean == pytest.approx(values.mean(), abs=1e-12)
+        assert channel.sigma == pytest.approx(values.std(ddof=1))
+    assert shown.found.clock.Ts == pytest.approx(trained.train[0].Ts)
+    assert (shown.found.init_window, shown.found.orders) == (description.init_window, description.orders)
+    for key, value in given.items():
+        assert getattr(description, key) == ({"test": value} if key == "test" else value)
+    # and again from the description, which gives all of it
+    again = examine_files(["x.toml"], {}).found
+    assert (again.split, again.channels, again.init_window, again.order) == (
+        shown.found.split, shown.found.channels, shown.found.init_window, shown.found.order,
+    )  # fmt: skip
+    assert set(again.given) >= {"orders", "init_window"}
+    assert set(shown.found.given) == {
+        "split" if key in ("val", "test") else key for key in given if key in ("split", "val", "test", "init_window",
+        "orders")
+    }  # fmt: skip
+
+
+def test_a_prepared_record_is_said_to_be_one(drifting: Path) -> None:
+    own: dict[str, Any] = {"inputs": ("u",), "outputs": ("y",), "time": "t"}
+    found = examine_files(["a.csv"], own | {"downsample": 2, "resample": 0.25}).found
+    assert found.used[:2] == (
+        "All of this is of the record as training takes it, after its preparation: resample 0.25, downsample 2.",
+        "'a.csv': resampled from 400 samples (longest step 0.5 s) to 0.25 s",
+    )
+    assert (found.clock.Ts, found.clock.source) == (0.5, "preparation")
+    assert examine_files(["a.csv"], own | {"downsample": 1, "detrend": "none"}).found.used == ()
+    pd.read_csv("val.csv").assign(t=lambda table: 2 * table["t"]).to_csv("slow.csv", index=False)
+    with pytest.raises(InputError, match=r"'slow.csv': against 'a.csv': sampling time 2 s, expected 1 s"):
+        examine_files(["a.csv", "slow.csv"], own | {"downsample": 2})
+
+
+@pytest.mark.parametrize(
+    ("given", "rule"),
+    [
+        ({"split": "0.72/0.2/0.08"}, "72/20/8 in time order"), ({"test": ("test.csv",)},
+         "75/25/0 in time order, files of their own test"), ({"val": ("val.csv",)}, "files of their own validate"),
+        ({"val": ("val.csv",), "test": ("test.csv",)}, "files of their own validate, files of their own test"),
+    ],
+)  # fmt: skip
+def test_a_given_split_is_told_by_its_rule(given: dict[str, Any], rule: str, drifting: Path) -> None:
+    assert examine_files(["a.csv"], {"outputs": ("y",), "time": "t"} | given).found.split.rule == rule
+
+
 # what is recommended
 
 
 def seen(split: Split, time: str | None = "t", inputs: tuple[str, ...] = ("u",), init_window: int = 3) -> Seen:
-    found: Any = SimpleNamespace(split=split, init_window=init_window, orders=(1, 2))
+    found: Any = SimpleNamespace(split=split, init_window=init_window, orders=(1, 2), given=())
     return Seen("mine", found, Roles(inputs, ("y",), time, ()))
 
 
@@ -227,7 +314,7 @@ def test_whole_experiments_are_described_by_their_files(tmp_path: Path) -> None:
 
 def test_shares_of_one_experiment_are_described_by_percents(tmp_path: Path) -> None:
     split = Split("50/30/20 in time order", (Part(0, 0, 5),), (Part(0, 5, 8),), (Part(0, 8, 10),), ())
-    found = described(tmp_path, seen(split, time=None, init_window=0), ["deep/a.csv"], Ts=0.25)
+    found = described(tmp_path, seen(split, time=None, init_window=1), ["deep/a.csv"], Ts=0.25)
     assert (found.files, found.split, found.val, found.test) == (("deep/a.csv",), "50/30/20", (), {})
     assert (found.Ts, found.time, found.init_window, found.allow_outside) == (0.25, None, 1, False)
 

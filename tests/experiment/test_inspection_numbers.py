@@ -467,7 +467,7 @@ def test_another_split_is_recommended_when_a_tenth_of_a_part_is_out_of_range(
 
 
 def test_a_split_covers_every_sample_once() -> None:
-    for K, at in ((999, (599, 799)), (7, (4, 5)), (0, ())):
+    for K, at in ((999, (599, 799)), (7, (4, 6)), (0, ())):
         found = recommend_split([noise(K, 1)], [examine_channel("y", "output", "m", [noise(K)])])
         parts = [*found.train, *found.val, *found.test]
         assert parts == ([Part(0, 0, at[0]), Part(0, at[0], at[1]), Part(0, at[1], K)] if K else [])
@@ -480,7 +480,7 @@ def test_of_two_experiments_the_second_tests_and_of_more_the_last() -> None:
         return found.rule, [*found.train, *found.val, *found.test]
 
     said = "the second experiment tests, the last quarter of the first validates"
-    assert rule(101, 50) == (said, [Part(0, 0, 75), Part(0, 75, 101), Part(1, 0, 50)])
+    assert rule(101, 50) == (said, [Part(0, 0, 76), Part(0, 76, 101), Part(1, 0, 50)])
     assert rule(30, 40, 50) == ("whole experiments", [Part(0, 0, 30), Part(1, 0, 40), Part(2, 0, 50)])
 
 

@@ -135,6 +135,11 @@ def test_remarks_on_the_record_as_a_whole(plain: Inspection) -> None:
     )
 
 
+def test_of_a_split_that_was_given_nothing_is_recommended(plain: Inspection) -> None:
+    found = changed(plain, "split", rule="50/25/25 in time order", warnings=("it rains",))
+    assert remarks_on(replace(found, given=("split",))) == ("With the given split (50/25/25 in time order), it rains.",)
+
+
 def test_a_constant_input_is_not_blamed_for_exciting_little(plain: Inspection) -> None:
     dead = changed(
         changed(plain, U, kind="constant", switches=0), "excitation 0", persistency=Persistency(1, 50, 1e-9, 9)

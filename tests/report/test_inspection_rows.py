@@ -90,6 +90,9 @@ def test_the_record_is_tabled_as_a_whole() -> None:
         "samples": "500 + 400", "Ts": "0.123456789 s (given)", "jitter": "1.2 % of a step at most",
         "split": "60/20/20 in time order", "orders": "1 2 3", "init window": "17 samples",
     }  # fmt: skip
+    told = {row["record"]: row[""] for row in report.record_rows(replace(FOUND, given=("split", "init_window")))}
+    assert (told["split"], told["orders"]) == ("60/20/20 in time order (given)", "1 2 3")
+    assert told["init window"] == "17 samples (given)"
     bare = {row["record"]: row[""] for row in report.record_rows(replace(FOUND, samples=(), clock=UNTIMED, orders=()))}
     assert (bare["samples"], bare["Ts"], bare["jitter"], bare["orders"]) == ("0", "unknown", "–", "–")
 
