@@ -16,6 +16,7 @@ from nnss_cli.validation.result import OutputCheck, Stated
 COLOURED = 0.2  # a correlation at lag 1 that is worth a word
 MATTERS = 0.05  # share of the residuals' variance that a profile must explain to be told
 UNAIDED = "none does: what is predicted here is a regression on increments"
+LINEAR = "a linear model could reach if it were fitted to this very record"
 CLOSE = 2.0  # percent of fit: as good as the linear limit
 
 
@@ -148,11 +149,14 @@ def _limit(each: OutputCheck) -> Iterator[str]:
         )
     elif each.fit_percent < each.limit - CLOSE:
         yield (
-            f"{own}the simulation fits {each.fit_percent:.1f} %, a linear model could reach {each.limit:.1f} %: there "
-            "is something left to be had."
+            f"{own}the simulation fits {each.fit_percent:.1f} %, below the {each.limit:.1f} % that {LINEAR}: there is "
+            "something left to be had."
         )
     else:
-        yield f"{own}the simulation fits {each.fit_percent:.1f} %, about what a linear model could reach at best."
+        yield (
+            f"{own}the simulation fits {each.fit_percent:.1f} %, near the {each.limit:.1f} % that {LINEAR}. Those "
+            "fitted to training data may be far below it: 'nnss compare' shows it."
+        )
 
 
 def _profiles(each: OutputCheck, channels: Channels) -> Iterator[str]:

@@ -126,7 +126,7 @@ def test_a_model_of_too_low_an_order_fails_with_a_verdict(nnss: Callable, plant_
     assert done.code == 1
     assert "FAILS" in done.out
     assert "dependent on 'u1': dynamics are missing; try order 2." in done.out
-    assert "a linear model could reach" in done.out
+    assert "% that a linear model could reach if it were fitted to this very record: there is" in done.out
     assert "Traceback" not in done.err
 
 
