@@ -38,7 +38,7 @@ def command(
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.experiment.certificate.many import folders_below
-    from nnss_cli.report.certificates import certificate_rows, statement_rows, stress_rows, summary_rows
+    from nnss_cli.report.certificates import certificate_rows, examined, statement_rows, stress_rows, summary_rows
 
     folders = folders_below(model)
     found: list[tuple[str, Any]] = []
@@ -75,7 +75,7 @@ def command(
             console.print(f"skipped: {name}: {reason}", soft_wrap=True, highlight=False)
     else:
         ((name, certificate),) = found
-        print_rows(statement_rows(certificate), f"{name}: what is known", text_columns=2)
+        print_rows(statement_rows(certificate), f"{name}: what is known{examined(certificate)}", text_columns=2)
         print_rows(certificate_rows(certificate), "Figures", text_columns=1)
         print_rows(stress_rows(certificate), f"Stress runs ({certificate.stress_seconds:.1f} s)", text_columns=1)
         for line in certificate.broken:

@@ -29,6 +29,11 @@ def statement_rows(found: Certificate) -> list[dict[str, str]]:
     ]
 
 
+def examined(found: Certificate) -> str:
+    """What the statements are of, for their head; "" for all of the model."""
+    return "" if found.covers == "the model" else f" of {found.covers}; the sum's eigenvalues are exactly 1, by choice"
+
+
 def _claim(gain: Gain) -> str:
     bound = "no bound" if gain.bound is None else f"≤ {number(gain.bound)}"
     if gain.bound_physical is not None:
@@ -53,7 +58,8 @@ def summary_rows(found: Sequence[tuple[str, Certificate]]) -> list[dict[str, str
         known = {s.name: SHORT[s.status] for s in each.statements}
         rows.append(
             {
-                "model": name, "stability": each.stability, "ρ(A)<1": known["frozen"], "quadr.": known["quadratic"],
+                "model": name, "stability": each.stability + " (LPV part)" * bool(examined(each)),
+                "ρ(A)<1": known["frozen"], "quadr.": known["quadratic"],
                 "state": known["state"], "increm.": known["incremental"], "gain ≤": number(each.gain.bound),
                 "reached": Cell(number(each.gain.attack) + "*" * _by_stronger_inputs(each.gain), each.gain.attack),
                 "tight": number(each.gain.tightness, 2),

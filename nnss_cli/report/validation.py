@@ -149,14 +149,15 @@ def draw_validation(found: Validation) -> Figure:
     drawn = f"\ndrawn: output {each.name}, input {found.channels.inputs[driver]}" if several else ""
     with plt.rc_context(STYLE | {"font.size": 8}):
         lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
-        heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, 2.4]
+        heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, *[2.4] * bool(found.linear.points)]
         figure = plt.figure(figsize=(9.6, sum(heights)), layout="constrained")
-        rows: Any = figure.subfigures(5, 1, height_ratios=heights)
+        rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
         _draw_verdict(rows[0], lines, f"{found.label}\non {found.record}, {found.samples} samples{drawn}")
         _draw_record(rows[1], found, index)
         _draw_residuals(rows[2], found, each, driver)
         _draw_profiles(rows[3], found, each, driver)
-        _draw_linear(rows[4], found, index, driver)
+        if found.linear.points:
+            _draw_linear(rows[4], found, index, driver)
     return figure
 
 
@@ -290,8 +291,6 @@ def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
     right.set_yscale("log")
     right.set_xlabel("frequency [Hz]")
     right.set_ylabel("magnitude" if {"", "–"} & {unit, of} else f"magnitude [{_factor(unit)}/{_factor(of)}]")
-    if right.lines:
-        few_log_ticks(right.xaxis)
-        few_log_ticks(right.yaxis)
-    if found.linear.points:
-        left.legend(fontsize=7)
+    few_log_ticks(right.xaxis)
+    few_log_ticks(right.yaxis)
+    left.legend(fontsize=7)

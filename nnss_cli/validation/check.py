@@ -19,7 +19,7 @@ from nnss_cli.experiment.run import score_outputs
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.trained.simulate import require_finite
 from nnss_cli.validation.limit import linear_limits
-from nnss_cli.validation.linearisation import linearisations, pole_map
+from nnss_cli.validation.linearisation import integrators, linearisations, pole_map
 from nnss_cli.validation.predictor import step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
@@ -90,7 +90,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         band = None
     return Validation(
         trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
-        verdict(outputs, steps, tests, trained.order, radius, trained.channels, linear),
+        verdict(outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained)),
         tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
         np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,
     )  # fmt: skip

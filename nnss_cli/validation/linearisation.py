@@ -89,6 +89,12 @@ def _magnitude(system: LinearStateSpace, z: FloatArray) -> FloatArray:
     return np.asarray(np.abs(system.C @ np.linalg.solve(M, np.repeat(system.B[None], len(z), axis=0)) + system.D))
 
 
+def integrators(trained: TrainedModel) -> int:
+    """How many outputs of the model sum up what its LPV part gives; of an ensemble's first member."""
+    member = getattr(trained.model, "members", (trained.model,))[0]
+    return len(trained.channels.outputs) * getattr(getattr(member, "architecture", None), "integrator", False)
+
+
 def pole_map(trained: TrainedModel, records: Sequence[Record], simulated: Sequence[Simulation]) -> FloatArray:
     """Eigenvalues of A(x) (points, n) at up to 300 points of simulated trajectories; of an ensemble's first member."""
     member = TrainedModel(getattr(trained.model, "members", (trained.model,))[0])

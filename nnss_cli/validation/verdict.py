@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels
+from nnss_cli.datasets.record import Channels, FloatArray
 from nnss_cli.validation.gain import ALONE, INCREMENTS
 from nnss_cli.validation.linearisation import Linearisations
 from nnss_cli.validation.predictor import StepTable
@@ -69,11 +69,23 @@ def verdict(
     steps: StepTable,
     tests: Sequence[Stated],
     order: int,
-    radius: float,
+    poles: FloatArray,
     channels: Channels,
     linear: Linearisations,
+    integrators: int,
 ) -> tuple[str, ...]:
-    """Sentences, the most important first."""
+    """Sentences, the most important first.
+
+    Args:
+        outputs: what was found of each.
+        steps: errors ahead.
+        tests: those stated.
+        order: number of states n.
+        poles: eigenvalues of A(x) (points, n) along the trajectory.
+        channels: names and units.
+        linear: linearisations at equilibria.
+        integrators: how many of the eigenvalues are 1 by choice.
+    """
     lines: list[str] = []
     for index, each in enumerate(outputs):
         lines += _dynamics(each, len(outputs), order, channels)
@@ -89,10 +101,20 @@ def verdict(
             "How inputs and outputs move tells the next sample better than this model: do not rely on its levels, and "
             "read the tests of residuals as those of the regression."
         )
-    if radius >= 1:
+    if integrators:
+        lines.append(
+            f"The outputs integrate: {integrators} of {order} eigenvalues of A(x) are exactly 1, by choice "
+            "(--integrator). What is promised of stability is of the LPV part before the sum."
+        )
+    # rounding may move an integrator's, so the nearest to 1 are taken for them
+    apart = np.take_along_axis(poles, np.argsort(np.abs(poles - 1), axis=1)[:, integrators:], axis=1)
+    if (radius := float(np.abs(apart).max(initial=0.0))) >= 1:
         lines.append(f"A(x) has an eigenvalue of modulus {radius:.4g} on the trajectory: the model is not Schur there.")
     lines += _signs(linear, channels)
-    lines += [f"No linearisation: {reason}." for reason in linear.without]
+    if integrators and linear.without:
+        lines.append("No linearisation at equilibria: under a constant input the outputs drift, as an integrator's do.")
+    else:
+        lines += [f"No linearisation: {reason}." for reason in linear.without]
     failed = sum(not test.passed for test in tests)
     head = f"{failed} of {len(tests)} tests fail." if failed else f"All {len(tests)} tests pass."
     return (head, *lines)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from nnss_cli.report.cells import plain
-from nnss_cli.report.certificates import certificate_rows, statement_rows, stress_rows, summary_rows
+from nnss_cli.report.certificates import certificate_rows, examined, statement_rows, stress_rows, summary_rows
 from nnss_cli.report.tables import promise_of
 
 GAIN = {"status": "proved", "bound": 2.0, "bound_physical": 40.0, "attack": 1.5, "attack_physical": 30.0,
@@ -78,6 +78,15 @@ def test_many_models_stand_one_a_row() -> None:
     (marked,) = summary_rows([("a", certificate(gain=stronger))])
     assert marked == first | {"reached": "2.5*", "tight": "–", "broken": "0"}
     assert plain([marked])[0]["reached"] == 2.5  # for machines
+
+
+def test_of_an_integrator_it_is_said_at_once_that_the_lpv_part_is_meant() -> None:
+    assert examined(certificate()) == ""
+    part = certificate(covers="the LPV part: so")
+    assert examined(part) == " of the LPV part: so; the sum's eigenvalues are exactly 1, by choice"
+    assert [row["stability"] for row in summary_rows([("a", part), ("b", certificate())])] == [
+        "schur (LPV part)", "schur",
+    ]  # fmt: skip
 
 
 def test_a_certificate_cell_by_cell() -> None:

@@ -264,4 +264,4 @@ def test_linearisations_are_of_the_drawn_output_and_input(page: Any) -> None:
     assert page(replace(flow, outputs=(one, FOUND.outputs[1])))[10].get_ylabel() == "magnitude [(m³/s)/V]"
     many = replace(FOUND.linear, points=(point((1.23456, 2, 3, 4), 0), point((1, 2, 3), 0)))
     assert entries(page(replace(FOUND, linear=many))[9]) == ["u = 1.23, 2, 3, …", "u = 1, 2, 3"]
-    assert page(replace(FOUND, linear=replace(FOUND.linear, points=())))[9].get_legend() is None
+    assert len(page(replace(FOUND, linear=replace(FOUND.linear, points=())))) == len(page()) - 2  # no empty panels
