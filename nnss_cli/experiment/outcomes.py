@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.experiment.agreement import difference
-from nnss_cli.experiment.executor import Executor, Lost, Task, keep_lost
+from nnss_cli.experiment.executor import Event, Executor, Lost, Task, keep_lost
 from nnss_cli.experiment.index import Stamp
 from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Store
@@ -21,8 +21,9 @@ TRIES = 2  # of a run whose process is lost
 
 
 def results(
-    tasks: Sequence[Task], executor: Executor, dataset: Dataset, store: Store, before: Mapping[str, Stamp]
-) -> Iterator[RunResult]:
+    tasks: Sequence[Task], executor: Executor, dataset: Dataset, store: Store, before: Mapping[str, Stamp],
+    on_event: Callable[[Event], None] = lambda _: None,
+) -> Iterator[RunResult]:  # fmt: skip
     """The results of tasks as they come, whoever executes them; a run whose process is lost is tried once more.
 
     Args:
@@ -31,6 +32,7 @@ def results(
         dataset: what is fitted.
         store: where they are kept.
         before: stamps when the sweep began, by label, of finished runs that are to be replaced.
+        on_event: hears of each run that another command is at, once.
 
     Raises:
         InputError: results cannot be kept, or the executor cannot go on.
@@ -38,6 +40,7 @@ def results(
     ready, elsewhere = deque(tasks), deque[Task]()  # the latter: another command is at them
     running: dict[Future[RunResult], tuple[Task, contextlib.ExitStack]] = {}  # with their locks
     tries: Counter[str] = Counter()
+    awaited: set[str] = set()
     looked = time.monotonic()
     try:
         while ready or elsewhere or running:
@@ -49,6 +52,9 @@ def results(
                 task, held = ready.popleft(), contextlib.ExitStack()
                 if not held.enter_context(store.lock(task.spec)):
                     elsewhere.append(task)
+                    if task.spec.label not in awaited:
+                        awaited.add(task.spec.label)
+                        on_event(Event(task.spec, waits_for="waits for another process that is at it", begun=False))
                     continue
                 kept = _kept_meanwhile(task.spec, before.get(task.spec.label), store)
                 if kept is None:

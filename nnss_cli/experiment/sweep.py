@@ -266,7 +266,7 @@ def sweep(
         # combinations are made of the others, which a cluster's workers do not have at hand
         last = Serial(dataset, store, on_event) if scheduler else executor
         for part, own in ((trained, executor), (combinations, last)):
-            for result in results(part, own, dataset, store, before):
+            for result in results(part, own, dataset, store, before, on_event):
                 on_result(result)
                 if fail_fast and result.status != "ok":
                     return

@@ -9,6 +9,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -250,12 +251,17 @@ def test_a_run_that_another_command_holds_is_waited_for_and_taken_over_when_it_d
 
     def heard(result: RunResult) -> None:
         finished.append(result)
-        holder.kill()  # after the first result, which is of the other run
+        threading.Timer(1.3, holder.kill).start()  # after the first result, which is of the other run, and two looks
 
-    sweep(todo, dataset, store, 1, NOTHING, heard)
+    events: list[Event] = []
+    sweep(todo, dataset, store, 1, events.append, heard)
     holder.wait()
     holder.stdout.close()
     assert [result.spec.seed for result in finished] == [1, 0]
+    waited = Event(todo[0], waits_for="waits for another process that is at it", begun=False)
+    assert [event for event in events if event.spec == todo[0]] == [
+        waited, Event(todo[0], waits_for="compiling", begun=False), Event(todo[0]),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["serial", "processes"])
