@@ -114,7 +114,7 @@ class NNSS(Method):
 
         recipe = Recipe(**{name: value for name, value in settings.items() if name != "recipe"})
         training = train_nnss(data, order, seed, recipe, on_epoch)
-        usual = recipe_of(str(settings["recipe"]).partition(",")[0], data.presets, order).window
+        usual = recipe_of(str(settings.get("recipe", "best")).partition(",")[0], data.presets, order).window
         return Fit(
             None if training.diverged else training.model,
             epochs=training.epochs,

@@ -45,7 +45,7 @@ class Script:
 
 def watch(engine: Script, rival: float = math.inf, on_epoch: Any = None, **changes: Any) -> _Watch:
     made = _Watch((), 1, GAUSS.replace(**changes), rival, _Clock(0), on_epoch)
-    made.take(engine, 1)  # type: ignore[arg-type]
+    made.take(engine, (), 1)  # type: ignore[arg-type]
     return made
 
 
