@@ -19,15 +19,18 @@ Sources: T. Söderström and P. Stoica, "System Identification", 1989, ch. 11 (c
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.special
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
 
 LAGS = 10  # p, where the record is long enough
 SAMPLES_A_COEFFICIENT = 3
 RANK = 1e-13  # a smooth input's past has singular values down to 1e-10, which count
 NEW = 1e-10  # of u(k) beside its past, relative; below it is rounding, as of a sum of a few sines
 REAL = 1e-6  # largest imaginary part of a real pole
+STRETCH = 4096  # samples of which the regressors are held at a time
 SURE = 3.0  # standard errors beyond which a steady output is not the mean
 
 
@@ -68,18 +71,18 @@ def longest_time_constant(records: tuple[Record, ...]) -> float:
     Args:
         records: experiments, in any units.
     """
-    m, p = records[0].output_count, _lags(records)
-    if p == 0:
-        return 0.0
-    X, U, Y = _regression(records, p)
-    coefficients = _Regressor(np.hstack([X, U, np.ones((len(X), 1))])).coefficients(Y)
-    companion = np.eye(m * p, k=-m)
-    companion[:m] = np.hstack(_output_matrices(coefficients, records[0], p))
-    poles = np.linalg.eigvals(companion)
-    real = poles[(np.abs(poles.imag) < REAL) & (poles.real > 0)].real
-    if not len(real):
-        return 0.0
-    return float("inf") if real.max() >= 1 else -1 / float(np.log(real.max()))
+    p = _lags(records)
+    return _Fitted(records, p).longest_time_constant() if p else 0.0
+
+
+def scaling_at_rest(records: tuple[Record, ...]) -> Scaling:
+    """Their statistics, but about the outputs at rest under the mean inputs, where they are surely not the means.
+
+    Args:
+        records: experiments, in any units.
+    """
+    scaling = Scaling.of(records)
+    return replace(scaling, y_mean=scaling.y_mean + steady_outputs(records))
 
 
 def steady_outputs(records: tuple[Record, ...]) -> FloatArray:
@@ -99,51 +102,65 @@ def steady_estimate(records: tuple[Record, ...]) -> tuple[FloatArray, FloatArray
 
     Those are infinite where the outputs integrate, and where the records are too short for any model.
     """
-    r, m, p = records[0].input_count, records[0].output_count, _lags(records)
+    m, p = records[0].output_count, _lags(records)
     nothing = np.zeros(m), np.full(m, np.inf)
-    if p == 0 or longest_time_constant(records) >= max(map(len, records)):
+    if p == 0:
         return nothing
-    u_mean, y_mean = (
-        np.concatenate(signals).mean(axis=0) for signals in zip(*((a.u, a.y) for a in records), strict=True)
-    )
-    X, U, Y = _regression(records, p)
-    X, U, Y = X - np.tile(np.concatenate([y_mean, u_mean]), p), U - u_mean, Y - y_mean
-    regressor = _Regressor(np.hstack([X, U, np.ones((len(X), 1))]))
-    coefficients = regressor.coefficients(Y)
-    at_rest = np.eye(m) - sum(_output_matrices(coefficients, records[0], p))
+    model = _Fitted(records, p)
+    if model.longest_time_constant() >= max(map(len, records)):
+        return nothing
+    at_rest = np.eye(m) - sum(model.by_outputs)
     try:
-        found, through = np.linalg.solve(at_rest, coefficients[-1]), np.linalg.inv(at_rest)
+        found, through = np.linalg.solve(at_rest, model.constant), np.linalg.inv(at_rest)
     except np.linalg.LinAlgError:
         return nothing
-    by_coefficients = np.concatenate([np.tile(np.concatenate([found, np.zeros(r)]), p), np.zeros(r), [1.0]])
-    errors = Y - regressor.X @ coefficients
-    covariance = errors.T @ errors / max(1, len(Y) - len(coefficients)) * regressor.variance(by_coefficients)
-    return found, np.sqrt(np.diag(through @ covariance @ through.T))
+    return found, np.sqrt(np.diag(through @ model.covariance(found) @ through.T))
 
 
-class _Regressor:
-    """A regression on X (q, c), whose columns may be of any size, and are collinear where a past tells nothing new."""
+class _Fitted:
+    """The model by least squares, in deviations from the means; the records are gone through once, in stretches."""
 
-    def __init__(self, X: FloatArray) -> None:
-        self.X = X
-        self.scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-        self.left, sizes, right = np.linalg.svd(X / self.scale, full_matrices=False)
-        seen = sizes > RANK * sizes[0]
-        self.left, self.back = self.left[:, seen], right[seen].T / sizes[seen]
+    def __init__(self, records: tuple[Record, ...], p: int) -> None:
+        self.r, self.m, self.p = records[0].input_count, records[0].output_count, p
+        means = [np.concatenate(signals).mean(axis=0) for signals in zip(*((a.y, a.u) for a in records), strict=True)]
+        centre = np.concatenate([*means * p, means[1]])
+        q, triangle = 0, np.empty((0, len(centre) + 1 + self.m))  # of the columns past, u(k), 1 and y(k)
+        for record in records:
+            for start in range(0, len(record) - p, STRETCH):
+                past, now, y = _regression((record[start : start + STRETCH + p],), p)
+                part = np.hstack([np.hstack([past, now]) - centre, np.ones((len(y), 1)), y - means[0]])
+                q, triangle = q + len(y), np.linalg.qr(np.vstack([triangle, part]), mode="r")
+        c = len(centre) + 1
+        X, Y = triangle[:, :c], triangle[:, c:]
+        self.scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)  # columns may be of any size
+        left, sizes, right = np.linalg.svd(X / self.scale, full_matrices=False)
+        seen = sizes > RANK * sizes[0]  # a past that tells nothing new makes them collinear
+        self.back = right[seen].T / sizes[seen]
+        coefficients = self.back @ (left[:, seen].T @ Y) / self.scale[:, None]
+        lag = self.m + self.r
+        self.by_outputs = [coefficients[i * lag : i * lag + self.m].T for i in range(p)]
+        """A₁ … A_p (m, m)."""
+        self.constant = coefficients[-1]
+        """c (m,)."""
+        errors = Y - X @ coefficients
+        self.noise = errors.T @ errors / max(1, q - c)
+        """Covariance of e (m, m)."""
 
-    def coefficients(self, Y: FloatArray) -> FloatArray:
-        """The smallest of least squares (c, m), in units of the columns' norms."""
-        return np.asarray(self.back @ (self.left.T @ Y) / self.scale[:, None])
+    def longest_time_constant(self) -> float:
+        companion = np.eye(self.m * self.p, k=-self.m)
+        companion[: self.m] = np.hstack(self.by_outputs)
+        poles = np.linalg.eigvals(companion)
+        real = poles[(np.abs(poles.imag) < REAL) & (poles.real > 0)].real
+        if not len(real):
+            return 0.0
+        return float("inf") if real.max() >= 1 else -1 / float(np.log(real.max()))
 
-    def variance(self, by_coefficients: FloatArray) -> float:
-        """Of a function with these derivatives (c,), over that of an error."""
-        return float(np.sum((self.back.T @ (by_coefficients / self.scale)) ** 2))
-
-
-def _output_matrices(coefficients: FloatArray, record: Record, p: int) -> list[FloatArray]:
-    """A₁ … A_p (m, m) of a regression on `_regression`'s past."""
-    m, lag = record.output_count, record.output_count + record.input_count
-    return [coefficients[i * lag : i * lag + m].T for i in range(p)]
+    def covariance(self, y: FloatArray) -> FloatArray:
+        """Of c + Σ Aᵢ y (m, m), for outputs at rest y (m,) under the mean inputs."""
+        by_coefficients = np.concatenate(
+            [np.tile(np.concatenate([y, np.zeros(self.r)]), self.p), np.zeros(self.r), [1.0]]
+        )
+        return self.noise * float(np.sum((self.back.T @ (by_coefficients / self.scale)) ** 2))
 
 
 def _lags(records: tuple[Record, ...]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -291,7 +291,7 @@ def _after(unit: str) -> str:
     return f" {unit}" if unit not in ("", "–") else ""
 
 
-def dataset_of(experiments: Experiments, steady_outputs: Callable[[tuple[Record, ...]], FloatArray]) -> Dataset:
+def dataset_of(experiments: Experiments, scaling_at_rest: Callable[[tuple[Record, ...]], Scaling]) -> Dataset:
     """The experiments as a dataset, scaled over the training part, under the protocol `own`.
 
     Models are in deviations from the mean inputs and the outputs at rest under them, so that linear ones need no
@@ -299,19 +299,19 @@ def dataset_of(experiments: Experiments, steady_outputs: Callable[[tuple[Record,
 
     Args:
         experiments: whose `about_means` asks for the mean outputs instead.
-        steady_outputs: outputs at rest under the mean inputs, less the mean outputs (m,), of training records.
+        scaling_at_rest: that of training records about the outputs at rest under the mean inputs.
     """
-    scaling, notes, channels = Scaling.of(experiments.train), experiments.notes, experiments.channels
-    offset = np.zeros(len(scaling.y_mean)) if experiments.about_means else steady_outputs(experiments.train)
-    for name, unit, off, mean in zip(channels.outputs, channels.output_units, offset, scaling.y_mean, strict=True):
-        if off != 0:
+    notes, channels, means = experiments.notes, experiments.channels, Scaling.of(experiments.train)
+    scaling = means if experiments.about_means else scaling_at_rest(experiments.train)
+    for name, unit, rest, mean in zip(
+        channels.outputs, channels.output_units, scaling.y_mean, means.y_mean, strict=True
+    ):
+        if rest != mean:
             notes += (
-                f"{name}: models are about {mean + off:.5g}{_after(unit)}, where it rests under the mean input; the "
+                f"{name}: models are about {rest:.5g}{_after(unit)}, where it rests under the mean input; the "
                 f'training part does not move around its mean, {mean:.5g}, which detrend = "constant" would take',
             )
-    scaling = replace(scaling, y_mean=scaling.y_mean + offset)
     fitting = FittingData(
-        experiments.name, OWN, experiments.train, experiments.val, scaling, experiments.channels,
-        experiments.init_window,
+        experiments.name, OWN, experiments.train, experiments.val, scaling, channels, experiments.init_window,
     )  # fmt: skip
     return Dataset(fitting, dict(experiments.tests), notes)

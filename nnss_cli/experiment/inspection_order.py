@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from nnss_cli.baselines.arx import steady_outputs
+from nnss_cli.baselines.arx import scaling_at_rest
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
 from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.baselines.subspace import Horizon
-from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt
 from nnss_cli.experiment.order import MARGIN
@@ -70,8 +70,7 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
     counts = sum(map(len, fit)), sum(map(len, judge))
     if not fit or not judge:
         return OrderGuess(None, (), *counts, None)
-    scaling = Scaling.of(fit)
-    scaling = replace(scaling, y_mean=scaling.y_mean + steady_outputs(fit))  # as models of own records are
+    scaling = scaling_at_rest(fit)  # as models of own records are
     fit, judge = tuple(map(scaling.apply, fit)), tuple(map(scaling.apply, judge))
     r, m = fit[0].input_count, fit[0].output_count
     sigma = _hankel(fit, r + m, m)

@@ -80,7 +80,7 @@ def ready(
     if not any(map(_looks_like_a_file, names)):
         benchmark(next(name for name in names if name not in BENCHMARKS) if len(names) == 1 else names[0])
         raise InputError(f"expected one benchmark, found {', '.join(names)}; several are compared one after the other")
-    from nnss_cli.baselines.arx import steady_outputs
+    from nnss_cli.baselines.arx import scaling_at_rest
     from nnss_cli.datasets.experiments import OWN, dataset_of, load_experiments
 
     if protocol not in ("", OWN):
@@ -89,7 +89,7 @@ def ready(
     settings = {} if description.horizon == "auto" else {"horizon": description.horizon}
     if description.name in BENCHMARKS:
         raise InputError(f"name '{description.name}' is a benchmark's: give another with --name, or in the description")
-    return Ready(dataset_of(load_experiments(description), steady_outputs), description.orders, settings)
+    return Ready(dataset_of(load_experiments(description), scaling_at_rest), description.orders, settings)
 
 
 def describe(names: Sequence[str], own: Mapping[str, Any], title: Callable[[str], str] = str) -> Description:

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from nnss_cli.baselines.arx import feedthrough_p_value, steady_estimate, steady_outputs
+import scipy.signal
+from nnss_cli.baselines import arx
+from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant, steady_estimate, steady_outputs
 from nnss_cli.datasets.record import Record
 
 
@@ -132,6 +134,17 @@ def test_units_and_offsets_move_a_steady_output_with_them() -> None:
     np.testing.assert_allclose(steady_outputs((scaled,)), 1e-4 * found, rtol=1e-4)
 
 
+def test_stretches_are_of_no_account(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sample is in one of them, wherever it is cut: sums of squares are those of all at once."""
+    random = np.random.default_rng(3)
+    records = tuple(from_rest(random, K, 0.02, 2, 2)[0] for K in (300, 137, 9))
+    found = []
+    for length in (1000, 50, 41):
+        monkeypatch.setattr(arx, "STRETCH", length)
+        found.append([*np.concatenate(steady_estimate(records)), longest_time_constant(records)])
+    np.testing.assert_allclose(found[1:], found[:1] * 2, rtol=1e-7)
+
+
 def test_where_there_is_no_rest_or_nothing_is_told_it_is_the_mean() -> None:
     random = np.random.default_rng(0)
     u = 1 + random.standard_normal((300, 1))
@@ -139,5 +152,6 @@ def test_where_there_is_no_rest_or_nothing_is_told_it_is_the_mean() -> None:
     for each in (
         Record(u, np.cumsum(u, axis=0), 1.0), Record(u[:5], u[:5], 1.0), Record(constant, constant, 1.0),
         Record(u, np.cumsum(u, axis=0) + 0.01 * random.standard_normal(u.shape), 1.0),
+        Record(u, scipy.signal.lfilter([0, 1.0], [1, -0.998], u, axis=0), 1.0),  # 500 samples of time constant
     ):  # fmt: skip
         np.testing.assert_array_equal(steady_outputs((each,)), 0)
