@@ -113,9 +113,7 @@ INTERPOLATE = 'repair the file, or interpolate (missing = "interpolate")'
 """What can be done about missing samples of a record that is described."""
 
 
-def check_complete(
-    values: FloatArray, names: Sequence[str], where: Where = sample, remedy: str = INTERPOLATE
-) -> None:  # fmt: skip
+def check_complete(values: FloatArray, names: Sequence[str], where: Where = sample, remedy: str = INTERPOLATE) -> None:
     """Refuse values (K, c) with missing samples (NaN).
 
     Args:

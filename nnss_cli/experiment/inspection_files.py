@@ -28,7 +28,7 @@ _TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
 _OUTPUT = re.compile(r"(y|out|output)([^a-z].*)?", re.IGNORECASE)
 
-PREPARATION = {"missing": "refuse", "resample": None, "downsample": 1, "detrend": "none"}  # field → that of none
+PREPARATION = ("missing", "resample", "downsample", "detrend")  # fields of a description; their defaults ask for none
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
     if plan is None and any(key in own for key in (*PREPARATION, "split", "val", "test", "init_window", "orders")):
         plan = describe(names, {**own, "inputs": roles.inputs, "outputs": roles.outputs, "time": roles.time})
     files = list(names) if plan is None else [file for group in files_by_role(plan).values() for file in group]
-    if plan is not None and any(getattr(plan, key) != nothing for key, nothing in PREPARATION.items()):
-        read = _as_trained(plan, files)
+    if plan is not None and (steps := _preparation(plan)):
+        read = _as_trained(plan, files, steps)
     else:
         paths = [Path(file) if plan is None else plan.path(file) for file in files[1:]]
         read = _as_they_are([table, *(read_table(path, None, fields.get("sheet")) for path in paths)], roles, fields)
@@ -138,12 +138,16 @@ def _as_they_are(tables: Sequence[pd.DataFrame], roles: Roles, fields: Mapping[s
     )
 
 
-def _as_trained(plan: Description, files: Sequence[str]) -> _Experiments:
-    """The files' signals up to the split, with training's refusals; the trend is taken off after the split."""
+def _preparation(plan: Description) -> list[str]:
+    """What is asked for of it, in words."""
+    return [f"{key} {getattr(plan, key)}" for key in PREPARATION if getattr(plan, key) != getattr(Description, key)]
+
+
+def _as_trained(plan: Description, files: Sequence[str], steps: Sequence[str]) -> _Experiments:
+    """The files' signals up to the split, with training's refusals; a drift is taken off after the split."""
     signals = [read_signals(plan, file) for file in files]
     for other in signals[1:]:
         check_alike(signals[0], other)
-    steps = [f"{key} {getattr(plan, key)}" for key, nothing in PREPARATION.items() if getattr(plan, key) != nothing]
     used = (
         f"All of this is of the record as training takes it, after its preparation: {', '.join(steps)}.",
         *(note for each in signals for note in each.notes),
@@ -152,7 +156,7 @@ def _as_trained(plan: Description, files: Sequence[str]) -> _Experiments:
 
 
 def _planned(plan: Description, own: Mapping[str, Any], data: Sequence[FloatArray]) -> dict[str, Any]:
-    """What of the split, window, orders and trend is given, as `examine` takes it."""
+    """What of the split, window, orders and drift is given, as `examine` takes it."""
     split = None
     if plan.split or plan.val or plan.test:
         parts: dict[PartName, list[Part]] = {"train": [], "val": [], "test": []}

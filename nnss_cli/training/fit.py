@@ -338,7 +338,7 @@ class _Attempt:
             )
             remarks += (f"{refused} {self.start} start",)
         self.model.load_state_dict({name: torch.from_numpy(array) for name, array in watch.kept.items()}, strict=False)
-        watch.engine.place(_vector(watch.kept))
+        watch.begin_again()
         self.model.initial_spread.copy_(torch.from_numpy(watch.engine.see(watch.records)))
         return Training(
             self.model,
