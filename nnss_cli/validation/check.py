@@ -8,7 +8,7 @@ it is said of the model's own predictions; what a guard makes of them stands bes
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -52,7 +52,8 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         require_finite("the simulation", simulation.y)
     one_ahead = [found.predict(record, 1) for record in records]
     rates = tuple(gain.rate for gain in found.gains)
-    left_out = max(w, _forgetting(max(rates), shortest))
+    needed = _forgetting(max(rates))
+    left_out = max(w, min(needed, shortest // 5))
     begin = w if w > 1 else 0
     scaling = trained.scaling or Scaling.of(found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
@@ -90,13 +91,23 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         band = None
     return Validation(
         trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
-        verdict(outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained)),
+        (
+            *verdict(outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained)),
+            *_early(left_out, needed),
+        ),
         tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
         np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,
     )  # fmt: skip
 
 
-def _forgetting(rate: float, shortest: int) -> int:
-    """Samples after which the observer's initial error is a hundredth, a fifth of the record at most."""
-    needed = math.ceil(math.log(FORGOTTEN) / math.log(rate)) if 0 < rate < 1 else 0
-    return min(needed, shortest // 5)
+def _forgetting(rate: float) -> int:
+    """Samples after which the observer's initial error is a hundredth; 0 where it is so at once, or never."""
+    return math.ceil(math.log(FORGOTTEN) / math.log(rate)) if 0 < rate < 1 else 0
+
+
+def _early(left_out: int, needed: int) -> Iterator[str]:
+    if left_out < needed:
+        yield (
+            f"The predictor takes {needed} samples to forget 99 % of its start. Residuals leave out the first "
+            f"{left_out}, a fifth of the record at most: what is left of the start may colour them."
+        )

@@ -29,7 +29,7 @@ def stated(
     worst = min(outputs, key=lambda each: each.white.p_value)
     tests.append(
         Stated(
-            "residuals are white (Ljung-Box)",
+            "residuals are white (Li-McLeod)",
             worst.white.p_value >= LEVEL / m,
             f"{_p(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
         )

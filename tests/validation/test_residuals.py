@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.signal
+import scipy.stats
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.n4sid import n4sid
 from nnss_cli.datasets.record import Dataset, Record, Scaling
@@ -45,11 +46,25 @@ def test_independent_signals_are_rejected_as_often_as_said(error: float, signal:
 
 
 def test_the_statistic_is_that_of_statsmodels() -> None:
+    """Box and Pierce's there, with what Li and McLeod add for one record: L (L + 1)/(2 N)."""
     e = coloured(0.2, 700, 3)
     found = whiteness([e])
-    other = acorr_ljungbox(e - e.mean(), lags=[found.lags])
-    assert found.statistic == pytest.approx(float(other["lb_stat"].iloc[0]), rel=1e-9)
-    assert found.p_value == pytest.approx(float(other["lb_pvalue"].iloc[0]), rel=1e-9)
+    L = found.lags
+    other = float(acorr_ljungbox(e - e.mean(), lags=[L], boxpierce=True)["bp_stat"].iloc[0]) + L * (L + 1) / 1400
+    assert found.statistic == pytest.approx(other, rel=1e-9)
+    assert found.p_value == pytest.approx(float(scipy.stats.chi2.sf(other, L)), rel=1e-9)
+
+
+def test_of_many_short_records_pairs_within_them_count() -> None:
+    """Both statistics have χ²'s mean, the degrees of freedom, where a fifth of N − l pairs run over their ends."""
+    white, own = [], []
+    for seed in range(150):
+        e, u = np.random.default_rng(seed).standard_normal((2, 20, 25))
+        white.append(whiteness(list(e)).statistic)
+        own.append(dependence(list(e), list(u)).statistic)
+    L = lags_of_tests(500)
+    assert np.mean(white) / L == pytest.approx(1, abs=0.1)
+    assert np.mean(own) / (L + 1) == pytest.approx(1, abs=0.1)
 
 
 @pytest.mark.parametrize("records", [20, pytest.param(100, marks=pytest.mark.slow)])

@@ -1,0 +1,112 @@
+"""`validate` against a second computation in plain loops: two inputs and outputs, feedthrough, an init window."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from nnss_cli.baselines.linear_model import LinearModel
+from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling
+
+from nnss_cli.trained import TrainedModel
+from nnss_cli.validation import check
+from nnss_cli.validation.check import validate
+from nnss_cli.validation.gain import Gain
+from nnss_cli.validation.predictor import Predictor
+from nnss_cli.validation.residuals import dependence, whiteness
+from nnss_cli.validation.trained import Fitting, Forecaster
+
+W = 3
+A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
+B = np.array([[1.0, 0.0], [0.3, -0.5], [0.0, 1.0]])
+C = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, -1.0]])
+D = np.array([[0.4, 0.0], [-0.3, 0.8]])
+SCALING = Scaling(np.array([1.0, -2.0]), np.array([2.0, 0.5]), np.array([3.0, 0.0]), np.array([4.0, 0.1]))
+
+
+@pytest.fixture
+def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """What `validate` finds of a linear model with a gain K that contracts by a rate, beside linear limits."""
+
+    def run(records: list[Record], K: FloatArray, rate: float, limits: tuple[float | None, ...]) -> Any:
+        monkeypatch.setattr(check, "linear_limits", lambda *_: list(limits))
+        named = Channels(("u1", "u2"), ("y1", "y2"), ("–", "–"), ("–", "–"))
+        model = LinearModel(LinearStateSpace(A, B, C, D, 0.5), SCALING, named)
+        trained = TrainedModel(
+            model,
+            origin=SimpleNamespace(init_window=W, order=3, method="n4sid", seed=0, dataset="plant", protocol="strict"),
+        )  # type: ignore[arg-type]
+        gain = Gain(K, "Kalman", rate, rate, {"none": 1.0})
+        return validate(
+            Forecaster(trained, Predictor(model, (K,)), (gain,), Fitting((records[0],), (records[0],))), records, "new"
+        )
+
+    return run
+
+
+def experiments(lengths: tuple[int, ...]) -> list[Record]:
+    """Records of the plant with noise, each about a level of its own, from an initial state that is far off."""
+    random, found = np.random.default_rng(0), []
+    for level, K in enumerate(lengths):
+        u, x = random.standard_normal((K, 2)), np.array([8.0, -5.0, 3.0])
+        y = np.empty((K, 2))
+        for k in range(K):
+            y[k] = C @ x + D @ u[k] + 0.3 * random.standard_normal(2)
+            x = A @ x + B @ u[k]
+        found.append(Record(u * SCALING.u_std + SCALING.u_mean, (y + level) * SCALING.y_std + SCALING.y_mean, 0.5))
+    return found
+
+
+def by_hand(record: Record, K: FloatArray) -> FloatArray:
+    """ŷ(k | k − 1) from the least-squares x(0) of the first W samples."""
+    u, y = (record.u - SCALING.u_mean) / SCALING.u_std, (record.y - SCALING.y_mean) / SCALING.y_std
+    rows, forced, x = [], [], np.zeros(3)
+    for k in range(W):
+        rows.append(C @ np.linalg.matrix_power(A, k))
+        forced.append(C @ x + D @ u[k])
+        x = A @ x + B @ u[k]
+    x = np.linalg.lstsq(np.concatenate(rows), y[:W].ravel() - np.concatenate(forced), rcond=None)[0]
+    predicted = np.empty_like(y)
+    for k in range(len(y)):
+        predicted[k] = C @ x + D @ u[k]
+        x = A @ x + B @ u[k] + K @ (y[k] - predicted[k])
+    return np.asarray(predicted * SCALING.y_std + SCALING.y_mean)
+
+
+@pytest.mark.parametrize(
+    ("rate", "left_out", "limits"),
+    [(0.8, 21, (10.0, 99.9)), (0.2, W, (None, 10.0)), (0.95, 32, (99.9, None)), (1.0, W, (10.0, 10.0))],
+)
+def test_numbers_are_those_of_a_second_computation(
+    rate: float, left_out: int, limits: tuple[float | None, ...], validated: Callable
+) -> None:
+    """Residuals begin where 99 % of the start are forgotten, at a fifth of the shortest record, or after the window."""
+    records, K = experiments((300, 160)), np.array([[0.3, 0.0], [0.1, 0.2], [0.0, -0.1]])
+    found = validated(records, K, rate, limits)
+    assert found.left_out == left_out
+    assert any("90 samples to forget" in line and "the first 32" in line for line in found.verdict) == (rate == 0.95)
+    free, one_ahead = ([record.y - by_hand(record, own) for record in records] for own in (0 * K, K))
+    for i, each in enumerate(found.outputs):
+        errors = np.concatenate([part[W:, i] for part in free])
+        varying = np.concatenate([record.y[W:, i] - record.y[W:, i].mean() for record in records])
+        assert each.rmse == pytest.approx(np.sqrt(np.mean(errors**2)))
+        assert each.fit_percent == pytest.approx(100 * (1 - np.sqrt(np.sum(errors**2) / np.sum(varying**2))))
+        assert each.sigma == SCALING.y_std[i]
+        assert each.limit == max(limits[i] or 0.0, each.fit_percent)  # which a linear model has reached
+        assert 20 < each.fit_percent < 95
+        own = [part[left_out:, i] for part in one_ahead]
+        assert each.residual_rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(own) ** 2)))
+        assert each.white.statistic == pytest.approx(whiteness(own).statistic)
+        assert each.simulation_r1 == pytest.approx(whiteness([part[left_out:, i] for part in free]).correlation[0])
+        for j in range(2):
+            u = [record.u[left_out:, j] for record in records]
+            assert each.depends[j].statistic == pytest.approx(dependence(own, u).statistic)
+            assert each.simulation_depends[j] == pytest.approx(
+                dependence([part[left_out:, i] for part in free], u).p_value
+            )
+    squares = sum(np.sum(part[W:] ** 2, axis=0) for part in one_ahead)
+    np.testing.assert_allclose(found.steps.predicted[0], np.sqrt(squares / (460 - 2 * W)))
+    assert found.steps.horizons == (1, 2, 5, 10, 20)
+    assert found.radius == pytest.approx(np.abs(np.linalg.eigvals(A)).max())
