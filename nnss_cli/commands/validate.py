@@ -26,7 +26,7 @@ def command(
         typer.Option(
             "--split",
             metavar="NAME",
-            help="Records of the run: train, val or a test set (default: the first of these).",
+            help="Records of the run: train, val or a test set (default: the first test set, else val).",
         ),
     ] = "",
     data: opt.FittedOn = None,

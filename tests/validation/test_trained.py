@@ -2,6 +2,8 @@
 
 import statistics
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,13 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel
 from nnss_cli.validation.predict import predict_record
 from nnss_cli.validation.predictor import Predictor
-from nnss_cli.validation.trained import Fitting, Forecaster, fitting_records, predicted_with_spread
+from nnss_cli.validation.trained import (
+    Fitting,
+    Forecaster,
+    fitting_records,
+    predicted_with_spread,
+    records_to_validate,
+)
 
 
 def record(samples: int, r: int = 1, m: int = 1) -> Record:
@@ -28,6 +36,16 @@ def test_a_given_record_is_fitted_on_its_first_seven_tenths(linear: LinearModel)
     assert len(train) == 66
     np.testing.assert_array_equal(np.concatenate([train.y, val.y]), given.y)
     np.testing.assert_array_equal(np.concatenate([train.u, val.u]), given.u)
+
+
+@pytest.mark.parametrize(
+    ("kept", "split", "taken"),
+    [("train val night day", "", "night"), ("val train", "", "val"), ("train val night", "train", "train")],
+)
+def test_the_first_test_set_is_validated_on_else_val(kept: str, split: str, taken: str) -> None:
+    records = {name: (record(30),) for name in kept.split()}
+    trained: Any = SimpleNamespace(records=lambda: records)
+    assert records_to_validate(trained, split) == (taken, records[taken])
 
 
 @pytest.mark.parametrize("horizon", [None, 2])
