@@ -15,7 +15,7 @@ from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.cells import whole
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.style import MEASURED, STYLE, style_of
+from nnss_cli.report.style import MEASURED, STYLE, band_look, style_of
 from nnss_cli.report.tables import number, percent
 from nnss_cli.report.timeplots import ENVELOPE, draw_line
 
@@ -97,7 +97,7 @@ def draw_simulated(
             draw_line(panel, time, y[:, i], dense, color=look.colour, linewidth=1.1, label=what)
             if band is not None:
                 low, high, name = band
-                around = {"color": look.colour, "alpha": 0.2, "linewidth": 0, "zorder": 1}
+                around = band_look(look.colour)
                 panel.fill_between(time, low[:, i], high[:, i], label=name, **around)
                 if measured is not None:  # a narrow one is seen only there
                     residual.fill_between(time, low[:, i] - y[:, i], high[:, i] - y[:, i], **around)

@@ -22,6 +22,12 @@ MEASURED: Any = {"color": "0.78", "linewidth": 3.0, "solid_capstyle": "butt"}
 """A measured signal: a broad pale line under all others, which no method's look resembles, in grey neither."""
 
 
+def band_look(colour: str) -> dict[str, Any]:
+    """A band around a signal of this colour: its limits are lines, since a pale area alone is lost under a measured
+    signal, on paper in grey, and where it is narrow."""
+    return {"facecolor": (colour, 0.22), "edgecolor": (colour, 0.9), "linewidth": 0.7, "linestyle": (0, (4, 1.5))}
+
+
 @dataclass(frozen=True)
 class MethodStyle:
     """One look per method in every figure; lines and hatches tell them apart in grey."""

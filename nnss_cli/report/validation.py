@@ -15,7 +15,7 @@ from nnss_cli.datasets.units import titled
 from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
-from nnss_cli.report.style import STYLE, style_of
+from nnss_cli.report.style import STYLE, band_look, style_of
 from nnss_cli.report.tables import number
 from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
@@ -175,9 +175,7 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
     top.plot(found.time, found.simulated[:, i], color=look.colour, linewidth=0.9, label="simulated")
     if found.limits is not None:
         low_limit, high_limit = (limit[:, i] for limit in found.limits.pair)
-        top.fill_between(
-            found.time, low_limit, high_limit, color=look.colour, alpha=0.2, linewidth=0, label=found.limits.name
-        )
+        top.fill_between(found.time, low_limit, high_limit, label=found.limits.name, **band_look(look.colour))
     each = found.outputs[i]
     top.set_ylabel(textwrap.fill(titled(each.name, each.unit), 22))
     top.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

@@ -366,6 +366,7 @@ def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below(
         assert measured.get_ydata().tolist() == true[:, i].tolist()
         assert drawn.get_ydata().tolist() == y[:, i].tolist()
         (band,) = output.collections
+        assert band.get_linewidth()[0] > 0.5  # its limits are lines, seen in grey and where it is narrow, too
         box = band.get_paths()[0].get_extents()
         assert (box.y0, box.y1) == (y[0, i] - 2, y[-1, i] + 2)
         error, zero = residual.lines

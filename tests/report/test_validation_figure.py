@@ -167,6 +167,7 @@ def test_a_band_is_filled_between_its_limits(page: Any) -> None:
     limits: Any = SimpleNamespace(pair=(Y - 1, Y + 2), name="90 % band")
     record = page(replace(FOUND, limits=limits))[1]
     (band,) = record.collections
+    assert band.get_linewidth()[0] > 0.5  # its limits are lines, seen in grey and where it is narrow, too
     box = band.get_paths()[0].get_extents()
     assert (box.y0, box.y1) == (0, 9)
     assert entries(record) == ["measured", "simulated", "90 % band"]
