@@ -12,18 +12,19 @@ from nnss_cli.datasets.record import FITTED_ON
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
 from nnss_cli.report.statistics import quantile
+from nnss_cli.report.style import Axis
 
 MEAN = "mean"  # name of the mean over outputs in the output column
 NORMALISED = "mean of RMSE/σ"
 
 COLUMNS = [
-    "dataset", "protocol", "method", "order", "seed", "split", "output", "rmse", "nrmse", "fit_percent",
-    "status", "reason", "epochs", "fit_seconds",
+    "dataset", "protocol", "method", "order", "seed", "split", "output", "channel", "unit", "rmse", "nrmse",
+    "fit_percent", "status", "reason", "epochs", "fit_seconds",
 ]  # fmt: skip
 
 
 def long_table(results: Sequence[RunResult]) -> pd.DataFrame:
-    """One row per run, split and output; a run that is not ok is one row with its reason."""
+    """One row per run, split and output, which has its place, name and unit; a run not ok is one with its reason."""
     rows = []
     for result in results:
         spec = result.spec
@@ -32,11 +33,27 @@ def long_table(results: Sequence[RunResult]) -> pd.DataFrame:
             "seed": spec.seed, "status": result.status, "reason": result.reason, "epochs": result.epochs,
             "fit_seconds": result.fit_seconds,
         }  # fmt: skip
+        outputs = places(result)
         for score in result.scores:
-            rows.append(run | vars(score))
+            rows.append(run | vars(score) | _named(outputs[score.output]))
         if not result.scores:
             rows.append(run | {"split": "", "output": ""})
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def axes(result: RunResult, kind: str) -> list[Axis]:
+    """Names and units of a run's "input"s or "output"s."""
+    channels = result.channels
+    return [Axis(name, unit) for name, unit in zip(channels[f"{kind}s"], channels[f"{kind}_units"], strict=True)]
+
+
+def places(result: RunResult) -> dict[str, Axis]:
+    """y1, y2, …, as scores have it, → the output's own name and unit."""
+    return {f"y{i + 1}": axis for i, axis in enumerate(axes(result, "output"))}
+
+
+def _named(axis: Axis) -> dict[str, str]:
+    return {"channel": axis.name, "unit": axis.unit}
 
 
 def summary(results: Sequence[RunResult]) -> pd.DataFrame:
@@ -58,7 +75,7 @@ def summary(results: Sequence[RunResult]) -> pd.DataFrame:
             ignore_index=True,
         )
     runs = {key: list(own) for key, own in runs_by_method(results).items()}
-    rows = []
+    outputs, rows = places(results[0]), []
     for (order, method, split, output), own in scored.groupby(["order", "method", "split", "output"]):
         everything = runs[(method, order)]
         failed = sum(run.status != "ok" for run in everything)
@@ -68,6 +85,7 @@ def summary(results: Sequence[RunResult]) -> pd.DataFrame:
         rows.append(
             {
                 "order": order, "method": method, "split": split, "output": output,
+                **_named(outputs.get(str(output), Axis("", ""))),
                 "runs": len(everything), "ok": len(everything) - failed,
                 "mean": float(own["rmse"].mean()) if not failed else math.nan,
                 "median": quantile(values, 0.5), "fit": -quantile([*-own["fit_percent"], *[math.inf] * failed], 0.5),

@@ -19,15 +19,17 @@ from nnss_cli.methods import METHODS
 from nnss_cli.modelfile import Tensors
 from nnss_cli.report import figures, timeplots
 from nnss_cli.report.aggregate import (
+    axes,
     best_by_method,
     long_table,
     methods_of,
+    places,
     runs_by_method,
     scored_splits,
     split_name,
 )
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.style import FORMATS, SCREEN, Axis, Look, styles_of
+from nnss_cli.report.style import FORMATS, SCREEN, Look, styles_of
 from nnss_cli.report.tables import rmse_markdown
 
 HOUR = 3600.0
@@ -84,19 +86,13 @@ def _write_files(store: Store, made_of: Table, times: bool, look: Look) -> list[
     return written
 
 
-def _axes(result: RunResult, kind: str) -> list[Axis]:
-    """Names and units of a run's "input"s or "output"s."""
-    channels = result.channels
-    return [Axis(name, unit) for name, unit in zip(channels[f"{kind}s"], channels[f"{kind}_units"], strict=True)]
-
-
 def _title(result: RunResult) -> str:
     return f"{result.spec.dataset} (protocol {result.spec.protocol})"
 
 
 def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None:
     splits = scored_splits(results)
-    units = {f"y{i + 1}": axis for i, axis in enumerate(_axes(results[0], "output"))}
+    units = places(results[0])
     values: dict[str, dict[str, dict[int, list[float]]]] = {}
     labels: dict[str, str] = {}
     titles: dict[str, str] = {}
@@ -158,9 +154,9 @@ def _simulations(store: Store, results: Sequence[RunResult], look: Look = SCREEN
         time, unit = _time(len(measured), float(any_signals["Ts"][0]))
         title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
         name = "simulation" if split in ("test", "val") else f"simulation-{split}"
-        inputs = list(zip(_axes(results[0], "input"), joined(any_signals, split, "u").T, strict=True))
+        inputs = list(zip(axes(results[0], "input"), joined(any_signals, split, "u").T, strict=True))
         found[name] = timeplots.draw_simulation(
-            time, measured, simulated, _axes(results[0], "output"), unit, title, transient(measured[: lengths[0]]),
+            time, measured, simulated, axes(results[0], "output"), unit, title, transient(measured[: lengths[0]]),
             starts(lengths), inputs, True, look,
         )  # fmt: skip
     return found
@@ -217,7 +213,7 @@ def _states(store: Store, results: Sequence[RunResult], look: Look = SCREEN) -> 
         f"(n = {result.spec.order}, seed {result.spec.seed}; {_records(split, lengths)}, measured outputs on top)"
     )
     return timeplots.draw_states(
-        time, joined(signals, split, "x"), measured, _axes(result, "output"), unit, title, starts(lengths), look
+        time, joined(signals, split, "x"), measured, axes(result, "output"), unit, title, starts(lengths), look
     )
 
 

@@ -12,7 +12,6 @@ import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.record import FITTED_ON
-from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.provenance import MADE_ON, MADE_WITH
@@ -22,6 +21,7 @@ from nnss_cli.report.aggregate import (
     NORMALISED,
     is_combination,
     methods_of,
+    places,
     runs_by_method,
     scored_splits,
     several_outputs,
@@ -208,9 +208,7 @@ def error_tables(results: Sequence[RunResult], apart: bool = False) -> list[Erro
 
 def output_names(result: RunResult) -> dict[str, str]:
     """y1, y2, … → the output's own name with its unit."""
-    channels = result.channels
-    pairs = zip(channels["outputs"], channels["output_units"], strict=True)
-    return {f"y{i + 1}": titled(*pair) for i, pair in enumerate(pairs)}
+    return {place: str(axis) for place, axis in places(result).items()}
 
 
 def terminal_title(results: Sequence[RunResult], split: str = "", output: str = "") -> str:

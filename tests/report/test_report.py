@@ -53,6 +53,16 @@ def test_the_long_table_has_a_row_per_run_split_and_output() -> None:
     assert pd.isna(failed["rmse"])
 
 
+def test_numbers_stand_with_the_outputs_own_name_and_unit() -> None:
+    channels = {"inputs": ["u"], "input_units": ["V"], "outputs": ["level", "flow"], "output_units": ["m", "l/s"]}
+    scores = [Score("val", output, 1.0, 0.5, 50.0) for output in ("y2", "y1")]
+    runs = [replace(RUNS[0], channels=channels, scores=scores), replace(RUNS[3], channels=channels)]
+    for table in (long_table(runs), summary(runs)):
+        named = {row["output"]: (row["channel"], row["unit"]) for row in table.to_dict("records")}
+        assert (named.pop("y1"), named.pop("y2")) == (("level", "m"), ("flow", "l/s"))
+        assert all(not name or pd.isna(name) for name, _ in named.values())  # means, and the run without scores
+
+
 def test_the_best_run_is_chosen_on_validation_not_on_test() -> None:
     assert best_run(RUNS[:4]).spec.seed == 1  # seed 2 is far better on test
     table = summary(RUNS)

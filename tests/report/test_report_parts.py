@@ -13,6 +13,7 @@ from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.store import Store
 from nnss_cli.report import build, comparison
+from nnss_cli.report.aggregate import axes
 from nnss_cli.report.dense import BINS, envelope, is_dense, rms, thinned
 from nnss_cli.report.studies import write_study
 
@@ -100,8 +101,8 @@ def test_orders_are_written_with_the_suggested_one_marked(tmp_path: Path) -> Non
 def test_channels_have_the_names_and_units_of_their_kind(result: Callable) -> None:
     channels = {"inputs": ["u", "v"], "outputs": ["y"], "input_units": ["V", "–"], "output_units": ["m"]}
     one = replace(result("nnss"), channels=channels)
-    assert [str(axis) for axis in comparison._axes(one, "input")] == ["u [V]", "v"]
-    assert [str(axis) for axis in comparison._axes(one, "output")] == ["y [m]"]
+    assert [str(axis) for axis in axes(one, "input")] == ["u [V]", "v"]
+    assert [str(axis) for axis in axes(one, "output")] == ["y [m]"]
     assert comparison._title(one) == "plant (protocol own)"
 
 
