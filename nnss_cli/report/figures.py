@@ -104,8 +104,16 @@ def _draw_boxes(
 
 
 def wrapped(title: str, width: float) -> str:
-    """A title in lines that fit into so many inches."""
-    return "\n".join(textwrap.fill(line, int(width * 12.5)) for line in title.splitlines())
+    """A title in lines that fit into so many inches, as few as can be, and of about the same length."""
+    return "\n".join(_balanced(line, int(width * 12.5)) for line in title.splitlines())
+
+
+def _balanced(text: str, most: int) -> str:
+    """In the fewest lines of `most` characters, each as short as that allows."""
+    fewest = len(textwrap.wrap(text, most))
+    longest_word = max(map(len, text.split()), default=1)
+    shortest = next(n for n in range(min(longest_word, most), most + 1) if len(textwrap.wrap(text, n)) <= fewest)
+    return textwrap.fill(text, shortest)
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:

@@ -43,6 +43,7 @@ class MethodStyle:
 STYLES: dict[str, MethodStyle] = {
     "nnss": MethodStyle("NN-SS", "#0072B2", "-", "", "o"),
     "nnss-ensemble": MethodStyle("NN-SS ensemble", "#000000", (0, (7, 2)), "--", "X"),
+    "nnss-clipped": MethodStyle("NN-SS ensemble, clipped", "#6A4A5C", (0, (7, 2, 1, 2)), "|-", "p"),
     "nnss-paper": MethodStyle("NN-SS, paper's recipe", "#56B4E9", (0, (2, 2)), "oo", "h"),
     "simba": MethodStyle("SIMBa", "#E69F00", (0, (6, 2)), "//", "s"),
     "n4sid": MethodStyle("N4SID", "#D55E00", (0, (4, 1, 1, 1)), "\\\\", "D"),

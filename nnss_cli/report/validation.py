@@ -251,7 +251,7 @@ def _draw_profiles(block: Any, found: Validation, each: OutputCheck, driver: int
     right.set_xlabel("real part")
     right.set_ylabel("imaginary part")
     right.set_title(f"poles, largest modulus {found.radius:.4f}", fontsize=8)
-    right.legend(fontsize=7, loc="upper left")
+    right.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, frameon=False)
 
 
 def _draw_profile(panel: Any, part: Profile | None, name: str, each: OutputCheck) -> None:

@@ -24,6 +24,8 @@ def test_a_title_is_broken_where_its_figure_ends_and_where_it_says() -> None:
     assert wrapped("one two\nthree", 9.0) == "one two\nthree"
     assert wrapped("x" * 20 + " " + "y" * 4, 2.0) == "x" * 20 + " yyyy"  # 25 letters in two inches
     assert wrapped("x" * 20 + " " + "y" * 5, 2.0) == "x" * 20 + "\nyyyyy"
+    assert wrapped("a few words that are of one line and one", 3.0) == "a few words that are\nof one line and one"
+    assert wrapped("x" * 60, 2.0).count("\n") == 2
 
 
 def test_a_unit_is_told_where_there_is_one() -> None:

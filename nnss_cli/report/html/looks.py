@@ -40,6 +40,7 @@ SHAPES = {
     "cross": "M2 0.5L5 3.5L8 0.5L9.5 2L6.5 5L9.5 8L8 9.5L5 6.5L2 9.5L0.5 8L3.5 5L0.5 2z",
     "ring": "M5 0.5a4.5 4.5 0 1 0 0 9a4.5 4.5 0 1 0 0-9zM5 3a2 2 0 1 1 0 4a2 2 0 1 1 0-4z",
     "square": "M1.3 1.3H8.7V8.7H1.3z",
+    "pentagon": "M5 0.5L9.5 3.9L7.8 9.3H2.2L0.5 3.9z",
     "diamond": "M5 0.2L9.4 5L5 9.8L0.6 5z",
     "triangle": "M5 0.8L9.5 9H0.5z",
     "wedge": "M5 9.2L9.5 1H0.5z",
@@ -72,6 +73,7 @@ class Look:
 KNOWN: dict[str, tuple[tuple[str, str], str, str]] = {
     "nnss": (("#0060a8", "#5ab0f0"), "", "circle"),
     "nnss-ensemble": (("#101418", "#f2f5f8"), "14 3", "cross"),
+    "nnss-clipped": (("#6a4a5c", "#d0b3c4"), "14 3 2 3", "pentagon"),
     "nnss-paper": (("#3a86b8", "#9cd2f5"), "2 2", "star"),
     "simba": (("#a86a00", "#f0b429"), "8 3", "square"),
     "n4sid": (("#b03a00", "#ff8f52"), "6 2 1.5 2", "diamond"),
