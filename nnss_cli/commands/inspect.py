@@ -30,7 +30,7 @@ def command(
 
     Columns whose roles are not given are guessed by their names; it is said how, and marked in what --write writes.
     A split, orders and a window that are not given are recommended.
-    Asked for --missing, --resample, --downsample or --detrend, it shows the record after that, as training takes it.
+    Asked for --missing, --resample, --downsample or --detrend linear, it shows the record as training takes it then.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.errors import InputError

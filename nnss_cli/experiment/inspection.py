@@ -75,6 +75,7 @@ def examine(
         init_window: samples to find x(0) from; None to recommend it.
         orders: to be compared; none to recommend them.
         detrend: "linear" takes the drift of the training part off, of complete records; "none" and "constant" nothing.
+            With "constant" models are about the means of the outputs, else about the outputs at rest.
 
     Raises:
         InputError: columns that are no numbers, of different lengths, or that differ between experiments; Ts ≤ 0.
@@ -134,7 +135,7 @@ def examine(
                 None if gain is None else gain.gain, None if gain is None else gain.p_value,
             )
         )  # fmt: skip
-    order = _order(scaled, split, q, len(live_outputs), used)
+    order = _order(scaled, split, q, len(live_outputs), detrend == "constant", used)
     shortest = min((part.stop - part.start for part in (*split.train, *split.val, *split.test)), default=1)
     longest_delay = max((delay.samples or 0 for delay in delays), default=0)
     n = order.suggested
@@ -269,7 +270,9 @@ def _excitation(name: str, order: Persistency, spectra: Any, channel: int | None
     return Excitation(name, order, (low / (Ts or 1), high / (Ts or 1)), float(power[f > 0.4].sum() / power.sum()))
 
 
-def _order(scaled: Sequence[FloatArray], split: Split, r: int, m: int, used: list[str]) -> OrderGuess:
+def _order(
+    scaled: Sequence[FloatArray], split: Split, r: int, m: int, about_means: bool, used: list[str]
+) -> OrderGuess:
     """The order guess on the split's training and validation parts; test is not looked at."""
     if r == 0 or m == 0:
         return OrderGuess(None, (), 0, 0, None)
@@ -277,7 +280,7 @@ def _order(scaled: Sequence[FloatArray], split: Split, r: int, m: int, used: lis
         [stretch for part in parts for stretch in _complete(scaled[part.experiment][part.start : part.stop])]
         for parts in (split.train, split.val)
     )
-    guess = guess_order(train, val, r)
+    guess = guess_order(train, val, r, about_means)
     rows = sum(part.stop - part.start for part in (*split.train, *split.val))
     if guess.suggested is not None and guess.train_samples + guess.val_samples < rows:
         used.append(

@@ -122,7 +122,10 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
                 check_length(role, files[part.experiment], part.stop - part.start, plan)
     if read.used:
         found = replace(found, clock=replace(found.clock, source="preparation"))
-    return Seen(fields.get("name") or record_name(first), replace(found, used=(*read.used, *found.used)), roles)
+    means = ("models are about the means of the outputs (detrend constant)",) * (
+        plan is not None and plan.detrend == "constant"
+    )
+    return Seen(fields.get("name") or record_name(first), replace(found, used=(*read.used, *found.used, *means)), roles)
 
 
 def _as_they_are(tables: Sequence[pd.DataFrame], roles: Roles, fields: Mapping[str, Any]) -> _Experiments:
@@ -139,8 +142,9 @@ def _as_they_are(tables: Sequence[pd.DataFrame], roles: Roles, fields: Mapping[s
 
 
 def _preparation(plan: Description) -> list[str]:
-    """What is asked for of it, in words."""
-    return [f"{key} {getattr(plan, key)}" for key in PREPARATION if getattr(plan, key) != getattr(Description, key)]
+    """What is asked for of the samples, in words; detrend constant is of the models alone."""
+    asked = [(key, getattr(plan, key)) for key in PREPARATION]
+    return [f"{key} {value}" for key, value in asked if value not in (getattr(Description, key), "constant")]
 
 
 def _as_trained(plan: Description, files: Sequence[str], steps: Sequence[str]) -> _Experiments:

@@ -13,7 +13,7 @@ from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
 from nnss_cli.baselines.ssregest import high_order_model
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.baselines.subspace import Horizon
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt
 from nnss_cli.experiment.order import MARGIN
@@ -53,7 +53,9 @@ class OrderGuess:
     """Validation error of a constant, the training mean, in the same units; None where nothing judged."""
 
 
-def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: int) -> OrderGuess:
+def guess_order(
+    train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: int, about_means: bool = False
+) -> OrderGuess:
     """A first guess of the linear order, in bounded time: N4SID with four horizons an order, orders 1 … 6.
 
     `nnss order` searches all horizons, on all samples; this takes up to 4,000 and 2,000.
@@ -62,6 +64,7 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
         train: stretches without gaps to fit on (K, c), inputs first.
         val: later stretches, to judge on.
         inputs: number of inputs r, at least 1.
+        about_means: models are about the means of the outputs, in the place of the outputs at rest.
     """
     fit, judge = (
         tuple(Record(part[:, :inputs], part[:, inputs:], 1.0) for part in excerpt(parts, limit, inputs))
@@ -70,7 +73,7 @@ def guess_order(train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: 
     counts = sum(map(len, fit)), sum(map(len, judge))
     if not fit or not judge:
         return OrderGuess(None, (), *counts, None)
-    scaling = scaling_at_rest(fit)  # as models of own records are
+    scaling = Scaling.of(fit) if about_means else scaling_at_rest(fit)  # as models of own records are
     fit, judge = tuple(map(scaling.apply, fit)), tuple(map(scaling.apply, judge))
     r, m = fit[0].input_count, fit[0].output_count
     sigma = _hankel(fit, r + m, m)

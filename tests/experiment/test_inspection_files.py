@@ -266,6 +266,9 @@ def test_a_prepared_record_is_said_to_be_one(drifting: Path) -> None:
     )
     assert (found.clock.Ts, found.clock.source) == (0.5, "preparation")
     assert examine_files(["a.csv"], own | {"downsample": 1, "detrend": "none"}).found.used == ()
+    about = examine_files(["a.csv"], own | {"detrend": "constant"}).found
+    assert about.used == ("models are about the means of the outputs (detrend constant)",)
+    assert about.clock.source == "time column"
     pd.read_csv("val.csv").assign(t=lambda table: 2 * table["t"]).to_csv("slow.csv", index=False)
     with pytest.raises(InputError, match=r"'slow.csv': against 'a.csv': sampling time 2 s, expected 1 s"):
         examine_files(["a.csv", "slow.csv"], own | {"downsample": 2})

@@ -409,6 +409,10 @@ def test_of_a_plant_that_climbs_from_rest_the_order_is_found() -> None:
     found = guess_order([z[:500]], [z[500:]], 1)
     assert found.suggested == 2
     assert found.candidates[1].val < 0.05
+    assert guess_order([z[:500]], [z[500:]], 1, about_means=True).candidates[1].val > 0.1
+    columns = {"u": z[:, 0]}, {"y": z[:, 1]}
+    about = [examine(*columns, detrend=detrend).order.candidates[1].val for detrend in ("none", "constant")]
+    assert about[1] > 1.4 * about[0]
     deviation = z[:500, 1].std(ddof=1)
     assert found.constant == pytest.approx(np.sqrt(np.mean((z[500:, 1] - z[:500, 1].mean()) ** 2)) / deviation)
 
