@@ -46,8 +46,10 @@ def feedthrough_p_value(records: tuple[Record, ...]) -> float:
     p = _lags(records)
     if p == 0:
         return 1.0
-    past, U, Y = _regression(records, p)
-    X, U, Y = (signal - signal.mean(axis=0) for signal in (past, U, Y))
+    q, triangle = _triangle(records, p)
+    constant = triangle[:, [-m - 1]]
+    triangle = triangle - constant @ (constant.T @ triangle) / q
+    X, U, Y = triangle[:, : p * (r + m)], triangle[:, p * (r + m) : -m - 1], triangle[:, -m:]
     left, sizes, _ = np.linalg.svd(X / np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny), full_matrices=False)
     Q = left[:, sizes > RANK * sizes[0]]
     U_new, Y_new = U - Q @ (Q.T @ U), Y - Q @ (Q.T @ Y)  # what the past does not tell
@@ -55,7 +57,7 @@ def feedthrough_p_value(records: tuple[Record, ...]) -> float:
     r = U_new.shape[1]
     if r == 0:
         return 1.0
-    freedom = len(X) - Q.shape[1] - 1 - r
+    freedom = q - Q.shape[1] - 1 - r
     e = Y_new - U_new @ np.linalg.lstsq(U_new, Y_new, rcond=1e-8)[0]
     before, after = np.sum(Y_new**2, axis=0), np.sum(e**2, axis=0)
     known = before > np.finfo(float).eps * np.sum(Y**2, axis=0)  # else the past tells y(k) exactly
@@ -118,20 +120,12 @@ def steady_estimate(records: tuple[Record, ...]) -> tuple[FloatArray, FloatArray
 
 
 class _Fitted:
-    """The model by least squares, in deviations from the means; the records are gone through once, in stretches."""
+    """The model by least squares, in deviations from the means."""
 
     def __init__(self, records: tuple[Record, ...], p: int) -> None:
         self.r, self.m, self.p = records[0].input_count, records[0].output_count, p
-        means = [np.concatenate(signals).mean(axis=0) for signals in zip(*((a.y, a.u) for a in records), strict=True)]
-        centre = np.concatenate([*means * p, means[1]])
-        q, triangle = 0, np.empty((0, len(centre) + 1 + self.m))  # of the columns past, u(k), 1 and y(k)
-        for record in records:
-            for start in range(0, len(record) - p, STRETCH):
-                past, now, y = _regression((record[start : start + STRETCH + p],), p)
-                part = np.hstack([np.hstack([past, now]) - centre, np.ones((len(y), 1)), y - means[0]])
-                q, triangle = q + len(y), np.linalg.qr(np.vstack([triangle, part]), mode="r")
-        c = len(centre) + 1
-        X, Y = triangle[:, :c], triangle[:, c:]
+        q, triangle = _triangle(records, p)
+        X, Y = triangle[:, : -self.m], triangle[:, -self.m :]
         self.scale = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)  # columns may be of any size
         left, sizes, right = np.linalg.svd(X / self.scale, full_matrices=False)
         seen = sizes > RANK * sizes[0]  # a past that tells nothing new makes them collinear
@@ -143,7 +137,7 @@ class _Fitted:
         self.constant = coefficients[-1]
         """c (m,)."""
         errors = Y - X @ coefficients
-        self.noise = errors.T @ errors / max(1, q - c)
+        self.noise = errors.T @ errors / max(1, q - X.shape[1])
         """Covariance of e (m, m)."""
 
     def longest_time_constant(self) -> float:
@@ -173,13 +167,20 @@ def _lags(records: tuple[Record, ...]) -> int:
     return 0
 
 
-def _regression(records: tuple[Record, ...], p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """[y(k−1) u(k−1) … y(k−p) u(k−p)] (q, p (m + r)), u(k) (q, r) and y(k) (q, m) of all samples with p before them."""
-    past, now, y = [], [], []
+def _triangle(records: tuple[Record, ...], p: int) -> tuple[int, FloatArray]:
+    """How many samples q have p before them, and R of QR = [y(k−1) u(k−1) … y(k−p) u(k−p), u(k), 1, y(k)] of these.
+
+    Sums of squares and products are RᵀR. y and u are in deviations from their means. At most `STRETCH` rows of the
+    regression are held at a time.
+    """
+    y_mean, u_mean = (np.concatenate(z).mean(axis=0) for z in zip(*((a.y, a.u) for a in records), strict=True))
+    q, triangle = 0, np.empty((0, p * (len(y_mean) + len(u_mean)) + len(u_mean) + 1 + len(y_mean)))
     for record in records:
-        K, both = len(record), np.hstack([record.y, record.u])
-        if p < K:
-            past.append(np.hstack([both[p - i : K - i] for i in range(1, p + 1)]))
-            now.append(record.u[p:])
-            y.append(record.y[p:])
-    return np.vstack(past), np.vstack(now), np.vstack(y)
+        for start in range(0, len(record) - p, STRETCH):
+            piece = record[start : start + STRETCH + p]
+            y, u = piece.y - y_mean, piece.u - u_mean
+            both, K = np.hstack([y, u]), len(y)
+            past = [both[p - i : K - i] for i in range(1, p + 1)]
+            rows = np.hstack([*past, u[p:], np.ones((K - p, 1)), y[p:]])
+            q, triangle = q + len(rows), np.linalg.qr(np.vstack([triangle, rows]), mode="r")
+    return q, triangle

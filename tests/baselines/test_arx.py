@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
+import scipy.stats
 from nnss_cli.baselines import arx
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant, steady_estimate, steady_outputs
 from nnss_cli.datasets.record import Record
@@ -50,6 +51,19 @@ def test_units_have_no_part_in_it() -> None:
     y = np.cumsum(u, axis=0) / 20 + 0.01 * random.standard_normal(u.shape)
     scaled = Record(1e3 * u + 5e4, 1e-4 * y - 7, 1.0)
     assert feedthrough_p_value((scaled,)) == pytest.approx(feedthrough_p_value((Record(u, y, 1.0),)), rel=0.02)
+
+
+def test_it_is_the_f_test_of_nested_models_by_least_squares() -> None:
+    """Of a record that climbs from rest: its past has another mean than its present, so the constant counts."""
+    random = np.random.default_rng(8)
+    u = np.linspace(0, 3, 60)[:, None] + 0.3 * random.standard_normal((60, 1))
+    y = 7 + scipy.signal.lfilter([0.02, 0.5], [1, -0.8], u, axis=0) + 0.1 * random.standard_normal((60, 1))
+    p, z = 7, np.hstack([y, u])  # three samples a coefficient
+    past = np.hstack([np.ones((60 - p, 1)), *(z[p - i : 60 - i] for i in range(1, p + 1))])
+    squares = [np.linalg.lstsq(X, y[p:])[1][0] for X in (past, np.hstack([past, u[p:]]))]
+    freedom = 60 - p - 2 * p - 2
+    expected = scipy.stats.f.sf((squares[0] - squares[1]) / (squares[1] / freedom), 1, freedom)
+    assert feedthrough_p_value((Record(u, y, 1.0),)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("sines", range(1, 6))
@@ -141,7 +155,8 @@ def test_stretches_are_of_no_account(monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for length in (1000, 50, 41):
         monkeypatch.setattr(arx, "STRETCH", length)
-        found.append([*np.concatenate(steady_estimate(records)), longest_time_constant(records)])
+        told = longest_time_constant(records), feedthrough_p_value(records)
+        found.append([*np.concatenate(steady_estimate(records)), *told])
     np.testing.assert_allclose(found[1:], found[:1] * 2, rtol=1e-7)
 
 
