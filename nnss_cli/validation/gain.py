@@ -220,7 +220,7 @@ def _cut(system: Stepper, train: Sequence[Record], w: int) -> _Pieces:
     return _Pieces(
         np.stack([piece.u for piece in scaled], axis=1),
         np.stack([piece.y for piece in scaled], axis=1),
-        np.stack([_begin(system, piece, w if first else 1) for piece, first in cut]),
+        np.stack([_begin(system, piece, w if first else system.sees) for piece, first in cut]),
         scored,
         np.array([not first for _, first in cut]),
     )

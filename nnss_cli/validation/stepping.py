@@ -56,6 +56,11 @@ class Stepper(Protocol):
         """Number of outputs m."""
         ...
 
+    @property
+    def sees(self) -> int:
+        """First outputs without which there is no x(0)."""
+        ...
+
     def disturbed(self, by: Disturbance) -> Stepper:
         """The same with a disturbance of the outputs, whose state is the end of z."""
         ...
@@ -118,7 +123,7 @@ class Neural:
     def __init__(self, model: NNSS) -> None:
         self.model, self.scaling = model, model.scaling
         a = model.architecture
-        self.outputs, self.order = a.outputs, a.states
+        self.outputs, self.order, self.sees = a.outputs, a.states, a.encoder_window
         self.with_y = "y" in a.scheduling.split("+")
         self.size = a.states + a.outputs * self.with_y
 
@@ -190,7 +195,7 @@ class DisturbedNeural:
 
     def __init__(self, own: Neural, by: Disturbance) -> None:
         self.own, self.by = own, by
-        self.model, self.scaling, self.outputs = own.model, own.scaling, own.outputs
+        self.model, self.scaling, self.outputs, self.sees = own.model, own.scaling, own.outputs, own.sees
         self.size = own.size + by.size
 
     def disturbed(self, by: Disturbance) -> DisturbedNeural:
@@ -252,7 +257,7 @@ class Linear:
 
     def __init__(self, model: LinearModel, by: Disturbance | None = None) -> None:
         self.model, self.scaling, self.by, system = model, model.scaling, by, model.system
-        self.outputs = len(system.C)
+        self.outputs, self.sees = len(system.C), 1
         if by is not None:
             r = by.inputs
             driven, shown = by.B[:, r:], by.D[:, r:]  # by the model's own outputs

@@ -329,6 +329,15 @@ def test_on_data_of_the_model_itself_errors_grow_with_the_horizon(
     assert errors[-1] > 1.1 * errors[0]
 
 
+def test_pieces_of_a_record_begin_where_an_encoder_sees_enough(neural: Callable[..., NNSS]) -> None:
+    """Training is cut into pieces, each of which begins with an x(0): of a window where the encoder sees one."""
+    model = neural(encoder_window=5)
+    (system,) = steppers_of(model)
+    u, y = signals(model, K=1000)
+    gain = estimate_gain(system, [Record(u[:800], y[:800], 0.1)], [Record(u[800:], y[800:], 0.1)], 5)
+    assert gain.rate < 1
+
+
 def test_the_gain_that_made_the_data_is_found(linear: LinearModel, true_gain: FloatArray) -> None:
     train, val, test = (innovations_record(linear, true_gain, 3000, 0.5, seed) for seed in (5, 6, 7))
     (stepper,) = steppers_of(linear)
