@@ -22,6 +22,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 
 BLOCK = 4096  # samples of a regression that are held at a time: memory stays linear in the record
+DEPENDENT = 1e8  # condition of a covariance beyond which outputs count as depending on each other
 ROWS = 1024  # of a regression that are eliminated at a time: they stay in the cache
 PANEL = 16  # columns that are eliminated before the others follow in a matrix product
 
@@ -212,7 +213,7 @@ def reflect_unstable(A: FloatArray) -> FloatArray:
     outside = np.abs(values) > 1
     if not outside.any():
         return A
-    values = np.where(outside, 1 / values.conj(), values)
+    values[outside] = 1 / values[outside].conj()
     return np.real(vectors @ np.diag(values) @ np.linalg.inv(vectors))
 
 
@@ -277,4 +278,7 @@ def inverse_root(residuals: FloatArray) -> FloatArray | None:
     floor = np.trace(covariance) / len(covariance) * 1e-12  # outputs that depend on each other
     if not floor > 0 or not np.isfinite(floor):
         return None
-    return np.linalg.cholesky(np.linalg.inv(covariance + floor * np.eye(len(covariance)))).T
+    covariance += floor * np.eye(len(covariance))
+    if np.linalg.cond(covariance) > DEPENDENT:  # its inverse has no digit left, and may have no root
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return np.linalg.cholesky(np.linalg.inv(covariance)).T

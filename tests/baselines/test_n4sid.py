@@ -89,6 +89,11 @@ def test_least_squares_from_triangles() -> None:
     e = random.standard_normal((100, 3))
     W = inverse_root(e)
     np.testing.assert_allclose(W @ (e.T @ e / 100) @ W.T, np.eye(3), atol=1e-9)
+    for m in (2, 3, 4):  # one signal in several units, whose covariance rounding leaves indefinite
+        for _ in range(50):
+            same = e[:, [0]] * 10.0 ** random.uniform(-3, 3, m)
+            V = inverse_root(same)
+            assert 0.9 < np.sum((same @ V.T) ** 2) / len(same) < 1.1  # of rank one: one is left of m
     assert inverse_root(np.zeros((5, 2))) is None
     assert inverse_root(np.full((5, 2), 1e200)) is None  # and not a word from NumPy
 

@@ -11,7 +11,7 @@ from nnss_cli.baselines.ssest import criterion_value, refine, ssest
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.catalog import BENCHMARKS, load
 from nnss_cli.datasets.download import fetch
-from nnss_cli.datasets.record import Record
+from nnss_cli.datasets.record import Record, Scaling
 
 
 def records_of(plant: LinearStateSpace, seed: int, noise: float, K: int = 200, count: int = 1) -> tuple[Record, ...]:
@@ -28,6 +28,17 @@ def sensitivities(problem: module._Problem, point: module._Point, Q: np.ndarray)
     """Unweighted derivatives (P', K, m) along the columns of Q, and residuals (K, m)."""
     blocks = np.concatenate(list(problem._sensitivities(point, Q, np.eye(len(point.C)))))
     return blocks[:, :, :-1].transpose(2, 0, 1), blocks[:, :, -1]
+
+
+def test_one_signal_in_three_units_is_identified(system: Callable) -> None:
+    """Its errors have a covariance of rank one, of which rounding leaves an indefinite inverse."""
+    plant = LinearStateSpace(*system(2, 1, 1, seed=2), 1.0)
+    for seed in range(6):
+        (one,) = records_of(plant, seed, 0.1, K=400)
+        three = Record(one.u, one.y * np.array([1.0, 1000.0, 1.8]) + np.array([0.0, 0.0, 32.0]), 1.0)
+        pair = [Scaling.of((record,)).apply(record) for record in (one, three)]
+        alone, together = (simulation_rms(ssest((record,), (record,), 2), (record,)) for record in pair)
+        assert together < 1.5 * alone
 
 
 @pytest.mark.parametrize("feedthrough", [False, True])
