@@ -228,7 +228,10 @@ FIT_OPTIONS: dict[str, Any] = {
     ),
     "scheduling": _training(str, "--scheduling", "x|x+u|x+y|x+u+y|auto", "What schedules the matrices."),
     "feedthrough": _training(
-        str, "--feedthrough", "auto|yes|no", "D in y = C x + D u, of NN-SS and SSEST; auto: validation decides."
+        str,
+        "--feedthrough",
+        "auto|yes|no",
+        "D in y = C x + D u, of NN-SS and SSEST; auto: validation decides (NN-SS: if u(k) shows in y(k) in training).",
     ),
     "integrator": _training(
         str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."

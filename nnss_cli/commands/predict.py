@@ -38,13 +38,15 @@ def command(
     The model is corrected by what it did not foresee, x(k+1) = f(x(k), u(k)) + K (y(k) - y_predicted(k)). K is
     estimated each time, on the run's training record, and chosen on its validation record. Beside the errors stand
     those of persistence, y(k) = y(k - N), and those with --guard, given or not.
+    Signals that leave the range of the training records by more than a hundredth of it are told.
     """
     from nnss_cli.commands.display import console, print_rows
     from nnss_cli.commands.events import emit
     from nnss_cli.files import places, require_writable, write_text
+    from nnss_cli.report.simulation import beyond_rows
     from nnss_cli.report.validation import gain_lines, guard_lines, step_rows
     from nnss_cli.trained import load, read_record
-    from nnss_cli.trained.simulate import output_table
+    from nnss_cli.trained.simulate import beyond_training, output_table
     from nnss_cli.validation.predict import predict_record
     from nnss_cli.validation.trained import forecaster
 
@@ -57,6 +59,9 @@ def command(
     require_writable(written[0].parent)
     write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
+    known = predictor.fitting.train if given is None else ()
+    if beyond := beyond_training(known, trained.channels, record.u, record.y):
+        print_rows(beyond_rows(beyond), f"{file.name}: beyond the training records no data speak for the model", 1)
     lines = gain_lines(predictor.gains) + (
         guard_lines(found.weight, trained.channels) if found.weight is not None else []
     )

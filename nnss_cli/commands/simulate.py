@@ -69,7 +69,7 @@ def command(
         for line in missing_lines(found.measured, trained.channels, trained.init_window):
             console.print(line, soft_wrap=True, highlight=False)
     try:
-        beyond = beyond_training(trained, found)
+        beyond = beyond_training(trained.records().get("train", ()), trained.channels, found.u, found.y)
     except InputError as error:  # a simulation needs no records
         beyond, unknown = (), f"Note: whether signals leave the range of the training records is not known: {error}"
         console.print(unknown, soft_wrap=True, highlight=False)

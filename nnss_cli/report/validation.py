@@ -262,7 +262,7 @@ def _draw_profile(panel: Any, part: Profile | None, name: str, each: OutputCheck
         return
     panel.errorbar(part.centres, part.means, yerr=part.bands, color="#0072B2", marker="o", markersize=3, capsize=2)
     panel.axhline(0, color="black", linewidth=0.6)
-    panel.set_title(f"{100 * part.share:.1f} % of the variance, 99 % bands", fontsize=8)
+    panel.set_title(f"{100 * part.share:.1f} % of the variance beyond a line, 99 % bands", fontsize=8)
 
 
 def _factor(unit: str) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nnss_cli.datasets.record import FloatArray, Record, Scaling
+from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.experiment.run import Score, score_outputs
 from nnss_cli.trained.model import TrainedModel
@@ -60,18 +61,23 @@ class Beyond:
     """Those of the training records."""
 
 
-def beyond_training(model: TrainedModel, found: Simulated) -> tuple[Beyond, ...]:
-    """The inputs and simulated outputs that leave the range of the training records, as kept with the model's run.
+def beyond_training(train: Sequence[Record], channels: Channels, u: FloatArray, y: FloatArray) -> tuple[Beyond, ...]:
+    """The inputs and outputs that leave the range of the training records.
 
     Errors there may be any (docs/recipes.md). That signals stay within promises nothing either: states may leave what
     training knew, and so may frequencies.
+
+    Args:
+        train: the training records; nothing is told without any.
+        channels: names and units.
+        u: inputs (K, r), physical units.
+        y: outputs (K, m), simulated or measured.
     """
-    train = model.records().get("train", ())
     if not train:
         return ()
-    c, told = model.channels, []
+    c, told = channels, []
     names, units = (*c.inputs, *c.outputs), (*c.input_units, *c.output_units)
-    signals = np.concatenate([found.u, found.y], axis=1).T
+    signals = np.concatenate([u, y], axis=1).T
     known = np.concatenate([np.concatenate([record.u, record.y], axis=1) for record in train]).T
     for name, unit, signal, before in zip(names, units, signals, known, strict=True):
         low, high = float(before.min()), float(before.max())

@@ -293,6 +293,7 @@ class _Attempt:
         try:
             if later:
                 watch.begin_again()
+                watch.trial = 0  # it was taken: no rival is left, and what its start was is long past
             elif self.start != "random":
                 watch.start()
             if recipe.optimiser == "adam":

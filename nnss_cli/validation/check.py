@@ -17,13 +17,13 @@ from nnss_cli.datasets.record import Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.methods.compiled import free_run
-from nnss_cli.trained.simulate import require_finite
-from nnss_cli.validation.limit import linear_limits
+from nnss_cli.trained.simulate import beyond_training, require_finite
+from nnss_cli.validation.limit import coherence_limits, fitted_limits, larger
 from nnss_cli.validation.linearisation import integrators, linearisations, pole_map
 from nnss_cli.validation.predictor import step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
-from nnss_cli.validation.trained import Forecaster
+from nnss_cli.validation.trained import Fitting, Forecaster
 from nnss_cli.validation.verdict import stated, verdict
 
 HORIZONS = 1, 2, 5, 10, 20
@@ -51,18 +51,16 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     for simulation in simulated:
         require_finite("the simulation", simulation.y)
     one_ahead = [found.predict(record, 1) for record in records]
-    rates = tuple(gain.rate for gain in found.gains)
-    needed = _forgetting(max(rates))
+    needed = _forgetting(max(gain.rate for gain in found.gains))
+    rates = tuple(max(gain.rate, here) for gain, here in zip(found.gains, found.rates_along(records), strict=True))
     left_out = max(w, min(needed, shortest // 5))
     begin = w if w > 1 else 0
     scaling = trained.scaling or Scaling.of(found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
-    limits = linear_limits(records, trained.order)
-    if isinstance(trained.model, LinearModel):  # which has reached it, then
-        limits = [
-            score.fit_percent if limit is None else max(limit, score.fit_percent)
-            for limit, score in zip(limits, scores, strict=True)
-        ]
+    reached = fitted_limits(records, trained.order)
+    if isinstance(trained.model, LinearModel):
+        reached = larger(reached, [score.fit_percent for score in scores])
+    limits = larger(coherence_limits(records), reached)
     outputs = []
     for i, (channel, unit) in enumerate(zip(trained.channels.outputs, trained.channels.output_units, strict=True)):
         errors = [(r.y - p)[left_out:, i] for r, p in zip(records, one_ahead, strict=True)]
@@ -72,7 +70,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
         pooled = np.concatenate(errors)
         outputs.append(
             OutputCheck(
-                channel, unit, scores[i].rmse, float(scaling.y_std[i]), scores[i].fit_percent, limits[i],
+                channel, unit, scores[i].rmse, float(scaling.y_std[i]), scores[i].fit_percent, limits[i], reached[i],
                 float(whiteness(free).correlation[0]), tuple(dependence(free, u).p_value for u in inputs),
                 float(np.sqrt(np.mean(pooled**2))), whiteness(errors), tuple(dependence(errors, u) for u in inputs),
                 tuple(profile(pooled, np.concatenate(u)) for u in inputs),
@@ -83,6 +81,8 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     steps = step_table(found.predictor, records, horizons, w, found.guard(horizons))
     poles = pole_map(trained, records, simulated)
     linear = linearisations(trained, records)
+    signals = (np.concatenate([getattr(record, name) for record in records]) for name in ("u", "y"))
+    beyond = beyond_training(found.fitting.train, trained.channels, *signals)
     tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)
     radius = float(np.abs(poles).max()) if poles.size else math.nan
     try:
@@ -92,8 +92,10 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     return Validation(
         trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
         (
-            *verdict(outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained)),
-            *_early(left_out, needed),
+            *verdict(
+                outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained), beyond
+            ),
+            *_known(found.fitting, records), *_early(left_out, needed),
         ),
         tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
         np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,
@@ -103,6 +105,24 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
 def _forgetting(rate: float) -> int:
     """Samples after which the observer's initial error is a hundredth; 0 where it is so at once, or never."""
     return math.ceil(math.log(FORGOTTEN) / math.log(rate)) if 0 < rate < 1 else 0
+
+
+def _known(fitting: Fitting, records: Sequence[Record]) -> Iterator[str]:
+    """Whether the model, its gain or its bands had a part of these records already, as protocol paper has it."""
+    total = sum(map(len, records))
+    for parts, what in (
+        (fitting.train, "the model or its predictor was fitted to"),
+        (fitting.val, "the model's epoch, the predictor's gain and the bands were chosen on"),
+    ):
+        if shared := sum(len(part) for part in parts if any(_lies_in(part, record) for record in records)):
+            yield f"No independent evidence: {what} {shared} of these {total} samples."
+
+
+def _lies_in(part: Record, record: Record) -> bool:
+    """Whether a record is a stretch of another one."""
+    both = np.concatenate([record.u, record.y], axis=1), np.concatenate([part.u, part.y], axis=1)
+    begins = np.flatnonzero((both[0] == both[1][0]).all(axis=1))
+    return any(np.array_equal(both[0][at : at + len(part)], both[1]) for at in begins)
 
 
 def _early(left_out: int, needed: int) -> Iterator[str]:

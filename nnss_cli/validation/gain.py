@@ -390,6 +390,20 @@ def _judge(
     return np.where(np.isfinite(errors), errors, np.inf), paths
 
 
+def growth_along(system: Stepper, found: Gain, records: Sequence[Record], w: int) -> float:
+    """Growth a sample of the observer's error over the record where it is largest; see `Gain.rate`.
+
+    Args:
+        system: without disturbance.
+        found: its gain.
+        records: experiments, physical units.
+        w: first samples that tell x(0).
+    """
+    whole = system if found.disturbance is None else system.disturbed(found.disturbance)
+    _, paths = _judge(whole, found.K[None], records, w)
+    return _contraction(whole, found.K, [(z[:, 0], u) for z, u in paths])[0]
+
+
 def _contraction(system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
     """Growth a sample of the observer's error, to first order, over the record where it grows most; its largest radius.
 

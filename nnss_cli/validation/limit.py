@@ -28,22 +28,21 @@ SAMPLES = 2048  # that linear models are fitted to
 ORDERS = 2, 4, 6  # of N4SID, beside SSEST of the model's own and one more
 
 
-def linear_limits(records: Sequence[Record], order: int) -> list[float | None]:
-    """The fit (`Score.fit_percent`) that linear relations would give, by output; None where nothing can be said.
+def larger(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
+    """The larger of two limits of each output; None where neither is known."""
+    both = ([value for value in pair if value is not None] for pair in zip(first, second, strict=True))
+    return [max(known) if known else None for known in both]
+
+
+def coherence_limits(records: Sequence[Record]) -> list[float | None]:
+    """The fit (`Score.fit_percent`) that coherence allows linear relations, acausal ones among them, by output.
 
     Args:
         records: experiments, any units.
-        order: of the model that is compared.
+
+    Returns:
+        None where they are too short, or a signal does not vary.
     """
-    by_coherence, by_fit = _coherence(records), _fitted(records, order)
-    found: list[float | None] = []
-    for i in range(records[0].output_count):
-        known = [value for value in (by_coherence[i], by_fit[i]) if value is not None]
-        found.append(max(known) if known else None)
-    return found
-
-
-def _coherence(records: Sequence[Record]) -> list[float | None]:
     r, m = records[0].input_count, records[0].output_count
     parts = [np.concatenate([record.u, record.y], axis=1) for record in records]
     centred = [part - part.mean(axis=0) for part in parts]  # each by its own mean, as the fit has it
@@ -62,7 +61,16 @@ def _coherence(records: Sequence[Record]) -> list[float | None]:
     return found
 
 
-def _fitted(records: Sequence[Record], own: int) -> list[float | None]:
+def fitted_limits(records: Sequence[Record], own: int) -> list[float | None]:
+    """The largest fit that linear models reach which are fitted to these records themselves, by output.
+
+    Args:
+        records: experiments, any units.
+        own: order of the model that is compared.
+
+    Returns:
+        None where no model could be fitted.
+    """
     r, m = records[0].input_count, records[0].output_count
     parts = excerpt([np.concatenate([record.u, record.y], axis=1) for record in records], SAMPLES, r)
     cut = tuple(Record(part[:, :r], part[:, r:], records[0].Ts) for part in parts)

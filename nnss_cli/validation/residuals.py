@@ -67,9 +67,10 @@ class Profile:
     bands: FloatArray
     """99 % of the means of white residuals lie within ± this (B,)."""
     share: float
-    """Share of the residuals' variance that the bins explain, beyond what B bins explain of white noise; at least 0."""
+    """Share of the residuals' variance that the bins explain beyond a straight line over the signal, less what they
+    explain of white noise; at least 0. A line is what a linear model, or feedback, leaves."""
     p_value: float
-    """Of the F test that all bins have one mean; it takes residuals for white."""
+    """Of the F test that a straight line is all there is, which takes residuals for white; 1 of two bins."""
 
 
 def lags_of_tests(samples: int) -> int:
@@ -167,11 +168,23 @@ def profile(errors: FloatArray, signal: FloatArray) -> Profile | None:
     counts = counts[used]
     centres, means = (np.bincount(bins, values)[used] / counts for values in (signal, errors))
     B, N = len(counts), len(errors)
-    total = float(np.sum((errors - errors.mean()) ** 2))
-    between = float(np.sum(counts * (means - errors.mean()) ** 2))
-    if B < 2 or N <= B or not total > between:
+    of_bin = (np.cumsum(used) - 1)[bins]
+    inside_bins = errors - means[of_bin]
+    total, within = (float(np.sum(part**2)) for part in (errors - errors.mean(), inside_bins))
+    # what a straight line leaves, and what one leaves together with the bins, among which it is where they are values
+    line = total - _explained(errors - errors.mean(), signal - signal.mean())
+    both = within if few else within - _explained(inside_bins, signal - centres[of_bin])
+    bent, freedom = B - 2 + (not few), N - B - (not few)
+    if B < 2 or freedom < 1 or not both > 0:
         return None
-    inside = (total - between) / (N - B)
-    F = between / (B - 1) / inside
-    share = max(0.0, (between - (B - 1) * inside) / total)
-    return Profile(centres, means, BAND * np.sqrt(inside / counts), share, float(scipy.special.fdtrc(B - 1, N - B, F)))
+    inside = both / freedom
+    bands = BAND * np.sqrt(within / (N - B) / counts)
+    if bent == 0:
+        return Profile(centres, means, bands, 0.0, 1.0)
+    F, share = (line - both) / bent / inside, max(0.0, (line - both - bent * inside) / total)
+    return Profile(centres, means, bands, share, float(scipy.special.fdtrc(bent, freedom, F)))
+
+
+def _explained(errors: FloatArray, signal: FloatArray) -> float:
+    """Sum of squares that a multiple of a signal (N,) explains of errors (N,)."""
+    return float(errors @ signal) ** 2 / float(signal @ signal)

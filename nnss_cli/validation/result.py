@@ -31,6 +31,8 @@ class OutputCheck:
     """100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) of the free simulation, each record about its own mean (`Score.fit_percent`)."""
     limit: float | None
     """Fit [%] that linear relations would give, an estimate (`nnss_cli.validation.limit`); None for a short record."""
+    reached: float | None
+    """Fit [%] that a linear model reaches which is fitted to this very record; None where none could be fitted."""
     simulation_r1: float
     """Autocorrelation of the simulation's errors at lag 1."""
     simulation_depends: tuple[float, ...]
@@ -84,7 +86,7 @@ class Validation:
     gains: tuple[str, ...]
     """Where the gain of each member comes from."""
     rates: tuple[float, ...]
-    """Growth a sample of each member's observer error."""
+    """Growth a sample of each member's observer error, over training, validation and this record at most."""
     poles: FloatArray
     """Eigenvalues of A(x) at points along the simulated trajectory (points, n), complex."""
     radius: float

@@ -15,7 +15,7 @@ from nnss_cli.trained import TrainedModel
 from nnss_cli.trained.simulate import Simulated, require_finite
 from nnss_cli.validation.adaptive import AdaptiveBand, adapt
 from nnss_cli.validation.bands import Band, calibrate
-from nnss_cli.validation.gain import Gain, estimate_gain
+from nnss_cli.validation.gain import Gain, estimate_gain, growth_along
 from nnss_cli.validation.predictor import Guard, Predictor
 from nnss_cli.validation.stepping import steppers_of
 
@@ -52,6 +52,11 @@ class Forecaster:
     def predict(self, record: Record, horizon: int | None) -> FloatArray:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
         return self._predicted(record, horizon, "residuals", self._own_guard(horizon))[0]
+
+    def rates_along(self, records: Sequence[Record]) -> tuple[float, ...]:
+        """Growth a sample of each member's observer error over these records; see `Gain.rate`."""
+        systems = zip(steppers_of(self.trained.model), self.gains, strict=True)
+        return tuple(growth_along(system, gain, records, self.trained.init_window) for system, gain in systems)
 
     def guard(self, horizons: Sequence[int]) -> Guard:
         """What guards predictions at these horizons, from the validation records, whether it is used or not."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.trained.simulate import Beyond
 from nnss_cli.validation.gain import ALONE, INCREMENTS
 from nnss_cli.validation.linearisation import Linearisations
 from nnss_cli.validation.predictor import StepTable
@@ -16,7 +17,7 @@ from nnss_cli.validation.result import OutputCheck, Stated
 COLOURED = 0.2  # a correlation at lag 1 that is worth a word
 MATTERS = 0.05  # share of the residuals' variance that a profile must explain to be told
 UNAIDED = "none does: what is predicted here is a regression on increments"
-LINEAR = "a linear model could reach if it were fitted to this very record"
+ELSEWHERE = 0.05  # share of a record beyond the range of training from which that may be what residuals show
 CLOSE = 2.0  # percent of fit: as good as the linear limit
 
 
@@ -73,6 +74,7 @@ def verdict(
     channels: Channels,
     linear: Linearisations,
     integrators: int,
+    beyond: Sequence[Beyond] = (),
 ) -> tuple[str, ...]:
     """Sentences, the most important first.
 
@@ -85,10 +87,18 @@ def verdict(
         channels: names and units.
         linear: linearisations at equilibria.
         integrators: how many of the eigenvalues are 1 by choice.
+        beyond: signals that leave the range of the training records.
     """
-    lines: list[str] = []
+    lines = [
+        f"'{one.channel}' leaves the range of the records fitted to, {one.trained[0]:.4g} to {one.trained[1]:.4g}, at "
+        f"{one.samples} of {one.of} samples ({one.found[0]:.4g} to {one.found[1]:.4g}): no data speak for the model "
+        "there."
+        for one in beyond
+    ]
+    elsewhere = any(one.samples > ELSEWHERE * one.of for one in beyond)
+    advice = "or it is the range that none was fitted to" if elsewhere else f"try order {order + 1}"
     for index, each in enumerate(outputs):
-        lines += _dynamics(each, len(outputs), order, channels)
+        lines += _dynamics(each, len(outputs), advice, channels)
         lines += _limit(each)
         lines += _profiles(each, channels)
         if steps.predicted[0, index] >= steps.persistence[0, index]:
@@ -120,7 +130,7 @@ def verdict(
     return (head, *lines)
 
 
-def _dynamics(each: OutputCheck, m: int, order: int, channels: Channels) -> Iterator[str]:
+def _dynamics(each: OutputCheck, m: int, advice: str, channels: Channels) -> Iterator[str]:
     own = f"'{each.name}': "
     depends = [
         channels.inputs[j] for j, found in enumerate(each.depends) if found.p_value < LEVEL / (m * len(each.depends))
@@ -129,22 +139,22 @@ def _dynamics(each: OutputCheck, m: int, order: int, channels: Channels) -> Iter
     coloured = each.white.p_value < LEVEL / m
     if depends:
         colour = f"coloured ({_colour(each.white)}) and " if coloured else ""
-        yield f"{own}residuals are {colour}dependent on {on}: dynamics are missing; try order {order + 1}."
+        yield f"{own}residuals are {colour}dependent on {on}: dynamics are missing; {advice}."
     elif coloured:
         yield (
             f"{own}residuals are coloured, {_colour(each.white)}, though independent of the inputs: dynamics of the "
-            f"disturbance are missing; try order {order + 1}."
+            f"disturbance are missing; {advice}."
         )
     elif abs(each.simulation_r1) > COLOURED:
         yield (
             f"{own}residuals are white, while the simulation's errors are coloured (r1 = {each.simulation_r1:.2f}): "
-            "the predictor accounts for what disturbs the plant; the simulation cannot."
+            "the predictor makes up for what the simulation lacks, a disturbance or what the model does not have."
         )
     blamed = [channels.inputs[j] for j, p in enumerate(each.simulation_depends) if p < LEVEL / (m * len(each.depends))]
     if blamed and not depends:
         yield (
             f"{own}the simulation's errors depend on {' and on '.join(repr(name) for name in blamed)}: part of the "
-            f"response is missing, which the predictor makes up for; try order {order + 1}."
+            f"response is missing, which the predictor makes up for; {advice}."
         )
 
 
@@ -161,24 +171,22 @@ def _signs(linear: Linearisations, channels: Channels) -> Iterator[str]:
 
 
 def _limit(each: OutputCheck) -> Iterator[str]:
-    own = f"'{each.name}': "
+    """A linear model that was fitted to the record proves its fit; coherence alone is an estimate, of other relations,
+    too."""
     if each.limit is None:
         return
-    if each.fit_percent > each.limit + CLOSE:
-        yield (
-            f"{own}the simulation fits {each.fit_percent:.1f} %, more than any linear model that was "
-            f"fitted to this very record ({each.limit:.1f} %): the nonlinearity pays."
-        )
-    elif each.fit_percent < each.limit - CLOSE:
-        yield (
-            f"{own}the simulation fits {each.fit_percent:.1f} %, below the {each.limit:.1f} % that {LINEAR}: there is "
-            "something left to be had."
-        )
+    own, most = f"'{each.name}': the simulation fits {each.fit_percent:.1f} %", f"{each.limit:.1f} %"
+    if proved := each.reached is not None and each.reached >= each.limit - CLOSE:
+        what = f"{most} that a linear model reaches which is fitted to this very record"
     else:
-        yield (
-            f"{own}the simulation fits {each.fit_percent:.1f} %, near the {each.limit:.1f} % that {LINEAR}. Those "
-            "fitted to training data may be far below it: 'nnss compare' shows it."
-        )
+        best = "none was fitted" if each.reached is None else f"the best that was fitted reaches {each.reached:.1f} %"
+        what = f"{most} that coherence leaves for linear relations, which need not be a model's ({best})"
+    if each.fit_percent > each.limit + CLOSE:
+        yield f"{own}, more than the {what}: the nonlinearity pays."
+    elif each.fit_percent < each.limit - CLOSE:
+        yield f"{own}, below the {what}: there {'is' if proved else 'may be'} something left to be had."
+    else:
+        yield f"{own}, near the {what}. Those fitted to training data may be far below it: 'nnss compare' shows it."
 
 
 def _profiles(each: OutputCheck, channels: Channels) -> Iterator[str]:
@@ -193,8 +201,8 @@ def _profiles(each: OutputCheck, channels: Channels) -> Iterator[str]:
     if telling:
         share, what = max(telling)
         yield (
-            f"'{each.name}': the mean residual varies with {what} ({100 * share:.0f} % of its variance): a "
-            "nonlinearity is missing there."
+            f"'{each.name}': the mean residual bends with {what} ({100 * share:.0f} % of its variance, beyond a "
+            "straight line): a nonlinearity is missing there."
         )
 
 

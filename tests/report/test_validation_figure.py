@@ -32,7 +32,7 @@ def output(name: str, unit: str, rmse: float, lowest: int) -> OutputCheck:
         for i in range(2)
     )
     return OutputCheck(
-        name, unit, rmse, 2.0, 87.654, None if unit == "–" else 93.21, 0.954, (0.1, 0.2), 0.0123456,
+        name, unit, rmse, 2.0, 87.654, None if unit == "–" else 93.21, None, 0.954, (0.1, 0.2), 0.0123456,
         Whiteness(np.array([0.256, -0.4, 0.1]), 0.0876, 9.0, 3, 0.0123), ties, (None, PROFILE), (None, PROFILE, STATE),
     )  # fmt: skip
 

@@ -5,8 +5,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +19,7 @@ from nnss_cli.report.simulation import missing_lines
 from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
-from nnss_cli.trained.simulate import Simulated, beyond_training, require_finite, simulate_file
+from nnss_cli.trained.simulate import beyond_training, require_finite, simulate_file
 
 
 @pytest.fixture
@@ -162,7 +160,7 @@ def test_what_leaves_the_range_of_training_is_told(
     margins = [0.01 * (high - low) for low, high in bounds]
 
     def told(u: np.ndarray, y: np.ndarray) -> tuple:
-        return beyond_training(model, Simulated(u[:, None], y[:, None], np.zeros((len(u), 2)), None, ()))
+        return beyond_training(model.records()["train"], model.channels, u[:, None], y[:, None])
 
     (u_low, u_high), (y_low, y_high) = bounds
     within = np.array([u_low - 0.99 * margins[0], u_high + 0.99 * margins[0]])
@@ -202,11 +200,10 @@ def test_all_training_records_and_every_signal_count_for_the_range() -> None:
         for u, y in (([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), ([5.0, 6.0, 7.0], [-3.0, 0.0, 1.0]))
     )
     channels = Channels(("a", "b"), ("y",), ("V", ""), ("m",))
-    model: Any = SimpleNamespace(records=lambda: {"train": records, "test": ()}, channels=channels)
 
     def told(u: list[list[float]], y: list[float]) -> list[tuple[str, str, int]]:
-        found = Simulated(np.array(u), np.array(y)[:, None], np.zeros((len(u), 1)), None, ())
-        return [(one.channel, one.unit, one.samples) for one in beyond_training(model, found)]
+        found = beyond_training(records, channels, np.array(u), np.array(y)[:, None])
+        return [(one.channel, one.unit, one.samples) for one in found]
 
     assert told([[7.0, 0.3], [0.0, 0.3]], [-3.0, 2.0]) == []  # 0.1 + 0.2 is 0.3 but for rounding
     assert told([[8.0, 0.3], [0.0, 0.3]], [-4.0, 2.0]) == [("a", "V", 1), ("y", "m", 1)]

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,24 @@ def test_a_candidate_ends_when_a_quarter_of_the_epochs_left_it_behind_its_rival(
     assert epochs_until_it_ends(watch(Script([error] * 60, monkeypatch), rival=1.0)) == ends
     assert epochs_until_it_ends(watch(Script([1.01] * 60, monkeypatch), rival=1.0, epochs=3)) == 1
     assert epochs_until_it_ends(watch(Script([1.01] * 60, monkeypatch), rival=1.0, optimiser="adam")) == 0
+
+
+def test_a_later_stage_is_no_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its epochs count on: a first stage of nine that improved nothing had left the second one."""
+    engine, begun = Script([1.0] + [2.0] * 60, monkeypatch), []
+    made = watch(engine)
+
+    def iterate(*given: Any) -> None:
+        begun.append(next((i for i in range(given[-1]) if not made.goes_on(1.0)), given[-1]))
+
+    attempt: Any = SimpleNamespace(
+        recipe=GAUSS, watch=made, samples=0, start="linear", model=None, remarks=(), gauss_newton=iterate
+    )
+    monkeypatch.setattr(module, "build_engine", lambda *_: engine)
+    record = Record(np.zeros((30, 1)), np.zeros((30, 1)), 1.0)
+    for epochs in (9, 20):
+        module._Attempt.train(attempt, (record,), epochs)
+    assert begun == [9, 20]
 
 
 def test_what_improves_once_before_a_quarter_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,8 @@ import scipy.signal
 
 from nnss_cli.errors import InputError
 from nnss_cli.trained import load
-from nnss_cli.validation.adaptive import STEPS, AdaptiveBand, adapt
-from nnss_cli.validation.bands import calibrate
+from nnss_cli.validation.adaptive import STEPS, AdaptiveBand, _step, adapt
+from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.trained import Limits, forecaster
 
 
@@ -58,6 +58,15 @@ def hostile(band: AdaptiveBand, samples: int, largest: float) -> np.ndarray:
         half = band.half_widths(e[: k + 1], 0)[k, 0]
         e[k] = min(1.001 * half, largest)
     return e
+
+
+def test_the_step_is_never_longer_than_one_over_the_horizon() -> None:
+    """Else a width that had fallen far would stay below the errors for longer than the bound allows."""
+    start = Band(0.9, np.ones(1), 10, 30, 1, None)
+    band, e = AdaptiveBand(start, np.array([0.5]), 20), np.full((20, 1), 1.001)
+    assert np.mean(np.abs(e) > band.half_widths(e, 0)) <= band.bound(e)[0]
+    steps = _step(np.array([0.5, 0.01]), np.array([[0], [10**9]]), 20)
+    np.testing.assert_allclose(steps, [[1 / 20, 1 / 20], [1 / 20, 0.01]])
 
 
 @pytest.mark.parametrize("horizon", [1, 7])

@@ -1,6 +1,7 @@
 """`validate` against a second computation in plain loops: two inputs and outputs, feedthrough, an init window."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,7 +32,8 @@ def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """What `validate` finds of a linear model with a gain K that contracts by a rate, beside linear limits."""
 
     def run(records: list[Record], K: FloatArray, rate: float, limits: tuple[float | None, ...]) -> Any:
-        monkeypatch.setattr(check, "linear_limits", lambda *_: list(limits))
+        monkeypatch.setattr(check, "coherence_limits", lambda _: list(limits))
+        monkeypatch.setattr(check, "fitted_limits", lambda *_: [None] * len(limits))
         named = Channels(("u1", "u2"), ("y1", "y2"), ("–", "–"), ("–", "–"))
         model = LinearModel(LinearStateSpace(A, B, C, D, 0.5), SCALING, named)
         trained = TrainedModel(
@@ -75,6 +77,32 @@ def by_hand(record: Record, K: FloatArray) -> FloatArray:
     return np.asarray(predicted * SCALING.y_std + SCALING.y_mean)
 
 
+def test_samples_that_a_part_of_the_model_has_seen_are_told() -> None:
+    """Of protocol paper's two-tank validation is the first third of test."""
+    records = experiments((300, 160))
+    fitting = Fitting((records[1],), (records[0][40:90],))
+    lines = list(check._known(fitting, records))
+    assert lines == [
+        "No independent evidence: the model or its predictor was fitted to 160 of these 460 samples.",
+        "No independent evidence: the model's epoch, the predictor's gain and the bands were chosen on 50 of these 460 "
+        "samples.",
+    ]
+    later = records[0].y.copy()
+    later[89] += 1e-9  # the last sample of validation
+    for y in (later, records[0].y + 1e-9):
+        assert list(check._known(fitting, [replace(records[0], y=y)])) == []
+
+
+def test_an_observer_that_grows_along_the_record_fails(validated: Callable) -> None:
+    """Whatever it did along training: K H takes the eigenvalues of F − K H out of the unit disc."""
+    records, K = experiments((300, 160)), np.array([[2.5, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    found = validated(records[:1], K, 0.5, (None, None))
+    (rate,) = found.rates
+    assert rate == pytest.approx(np.abs(np.linalg.eigvals(A - K @ C)).max(), rel=0.01)
+    assert rate > 1
+    assert [test.passed for test in found.tests if test.name == "the observer is stable"] == [False]
+
+
 @pytest.mark.parametrize(
     ("rate", "left_out", "limits"),
     [(0.8, 21, (10.0, 99.9)), (0.2, W, (None, 10.0)), (0.95, 32, (99.9, None)), (1.0, W, (10.0, 10.0))],
@@ -94,7 +122,8 @@ def test_numbers_are_those_of_a_second_computation(
         assert each.rmse == pytest.approx(np.sqrt(np.mean(errors**2)))
         assert each.fit_percent == pytest.approx(100 * (1 - np.sqrt(np.sum(errors**2) / np.sum(varying**2))))
         assert each.sigma == SCALING.y_std[i]
-        assert each.limit == max(limits[i] or 0.0, each.fit_percent)  # which a linear model has reached
+        assert each.limit == max(limits[i] or 0.0, each.fit_percent)
+        assert each.reached == each.fit_percent  # by a linear model
         assert 20 < each.fit_percent < 95
         own = [part[left_out:, i] for part in one_ahead]
         assert each.residual_rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(own) ** 2)))

@@ -126,7 +126,7 @@ def test_a_model_of_too_low_an_order_fails_with_a_verdict(nnss: Callable, plant_
     assert done.code == 1
     assert "FAILS" in done.out
     assert "dependent on 'u1': dynamics are missing; try order 2." in done.out
-    assert "% that a linear model could reach if it were fitted to this very record: there is" in done.out
+    assert "% that a linear model reaches which is fitted to this very record: there is" in done.out
     assert "Traceback" not in done.err
 
 
@@ -165,7 +165,7 @@ def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Call
     assert found["outputs"][0]["simulation_r1"] > 0.4
     assert found["tests"][0]["passed"], found["tests"]
     assert found["gains"] != ["none"]
-    assert any("the predictor accounts for what disturbs the plant" in line for line in found["verdict"])
+    assert any("the predictor makes up for what the simulation lacks" in line for line in found["verdict"])
     model = load(plant_run(coloured=True))
     (record,) = model.records()["test"]
     e, u = (signal[found["left_out"] :, 0] for signal in (record.y - forecaster(model).predict(record, 1), record.u))

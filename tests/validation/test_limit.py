@@ -11,7 +11,11 @@ from nnss_cli.datasets.record import FloatArray, Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.validation import limit
-from nnss_cli.validation.limit import linear_limits
+from nnss_cli.validation.limit import coherence_limits, fitted_limits, larger
+
+
+def linear_limits(records: list[Record], order: int) -> list[float | None]:
+    return larger(coherence_limits(records), fitted_limits(records, order))
 
 
 @pytest.fixture

@@ -128,6 +128,35 @@ def test_a_mean_that_follows_a_signal_is_told_apart_from_noise() -> None:
     assert plain.share < 0.01
     assert bent.p_value < 1e-10
     assert bent.share == pytest.approx(4 * np.var(x**2) / (1 + 4 * np.var(x**2)), abs=0.05)
+    leaning = profile(e + 2 * x, x)
+    assert leaning is not None
+    assert (leaning.share, leaning.p_value) == (pytest.approx(plain.share), pytest.approx(plain.p_value))
     levels = profile(e, np.repeat([1.0, 2.0, 5.0], [500, 500, 1000]))
     assert levels is not None
     np.testing.assert_allclose(levels.centres, [1, 2, 5])
+    two = profile(e, np.repeat([1.0, 2.0], [500, 1500]))
+    assert two is not None
+    assert (two.share, two.p_value) == (0, 1)  # a line goes through both
+
+
+def test_a_profile_is_the_f_test_of_bins_beside_a_line() -> None:
+    """Of 400 records of white residuals some 4 fall below 1 %: more than 11 would have a probability below 0.1 %."""
+    random, low = np.random.default_rng(4), 0
+    for _ in range(400):
+        x, e = random.standard_normal(200), random.standard_normal(200)
+        found = profile(e + 3 * x, x)
+        assert found is not None
+        low += found.p_value < 0.01
+    assert 0 < low <= 11
+    for x in (random.standard_normal(300), np.repeat([1.0, 2.0, 5.0, 6.0], 75)):
+        e = random.standard_normal(300) + 0.1 * x**2
+        edges = np.quantile(x, np.linspace(0, 1, 11))
+        bins = np.unique(x, return_inverse=True)[1] if len(np.unique(x)) < 10 else np.digitize(x, edges[1:-1])
+        lines = np.column_stack([np.ones(300), x])
+        of_bins = np.column_stack([x, *(bins == i for i in range(bins.max() + 1))])
+        squares = [float(np.sum((e - X @ np.linalg.lstsq(X, e)[0]) ** 2)) for X in (lines, of_bins)]
+        rank = int(np.linalg.matrix_rank(of_bins))
+        F = (squares[0] - squares[1]) / (rank - 2) / (squares[1] / (300 - rank))
+        found = profile(e, x)
+        assert found is not None
+        assert found.p_value == pytest.approx(scipy.stats.f.sf(F, rank - 2, 300 - rank), rel=1e-9)

@@ -26,7 +26,7 @@ def channels(m: int, r: int) -> Channels:
 def output(name: str, white: float = 0.5, depends: tuple[float, ...] = (0.5,), **other: Any) -> OutputCheck:
     """An output whose tests of residuals have these p-values."""
     found = OutputCheck(
-        name, "–", 0.1, 1.0, 90.0, None, 0.0, (1.0,) * len(depends), 0.1,
+        name, "–", 0.1, 1.0, 90.0, None, None, 0.0, (1.0,) * len(depends), 0.1,
         Whiteness(np.array([0.3, 0.1]), 0.1, 1.0, 2, white),
         tuple(Dependence(np.array([0.3]), 0.1, 1.0, 3, p) for p in depends), (None,) * len(depends), (),
     )  # fmt: skip
@@ -129,7 +129,7 @@ def test_a_profile_is_told_where_it_is_no_chance_and_matters() -> None:
     (line,) = told(
         output("y1", depends=pair, by_input=(chance, profile(0.06, 0.0024)), by_state=(profile(0.051, 0.0), small))
     )
-    assert "varies with input 'u2' (6 % of its variance)" in line
+    assert "bends with input 'u2' (6 % of its variance, beyond a straight line)" in line
 
 
 def test_a_gain_that_changes_its_sign_is_told_with_where() -> None:

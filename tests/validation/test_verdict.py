@@ -1,5 +1,6 @@
 """Sentences of the verdict, from checks made by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,30 +8,54 @@ import numpy as np
 import pytest
 from nnss_cli.datasets.record import Channels
 
-from nnss_cli.validation.linearisation import integrators
+from nnss_cli.trained.simulate import Beyond
+from nnss_cli.validation.linearisation import Linearisations, integrators
 from nnss_cli.validation.verdict import _limit, verdict
+
+FITTED = "90.0 % that a linear model reaches which is fitted to this very record"
+COHERENT = "90.0 % that coherence leaves for linear relations, which need not be a model's ({})"
+BEST = COHERENT.format("the best that was fitted reaches 1.4 %")
+ELSEWHERE = "Those fitted to training data may be far below it: 'nnss compare' shows it."
 
 
 @pytest.mark.parametrize(
-    ("fit", "said"),
+    ("fit", "reached", "said"),
     [
-        (95.0, "more than any linear model that was fitted to this very record (90.0 %): the nonlinearity pays."),
-        (
-            91.0,
-            "near the 90.0 % that a linear model could reach if it were fitted to this very record. Those fitted to "
-            "training data may be far below it: 'nnss compare' shows it.",
-        ),
-        (
-            80.0,
-            "below the 90.0 % that a linear model could reach if it were fitted to this very record: there is "
-            "something left to be had.",
-        ),
+        (95.0, 90.0, f"more than the {FITTED}: the nonlinearity pays."),
+        (91.0, 88.5, f"near the {FITTED}. {ELSEWHERE}"),
+        (80.0, 90.0, f"below the {FITTED}: there is something left to be had."),
+        (80.0, 1.4, f"below the {BEST}: there may be something left to be had."),
+        (91.0, 1.4, f"near the {BEST}. {ELSEWHERE}"),
+        (80.0, None, f"below the {COHERENT.format('none was fitted')}: there may be something left to be had."),
     ],
-)
-def test_the_linear_limit_is_said_to_be_of_the_record_itself(fit: float, said: str) -> None:
-    """It is no result of a model that was fitted to training data, so that a fit near it is no sign of no gain."""
-    each: Any = SimpleNamespace(name="y", fit_percent=fit, limit=90.0)
+)  # fmt: skip
+def test_the_linear_limit_is_said_to_be_of_the_record_itself(fit: float, reached: float | None, said: str) -> None:
+    """It is no result of a model that was fitted to training data, so that a fit near it is no sign of no gain; and
+    what coherence alone tells is proved by no model."""
+    each: Any = SimpleNamespace(name="y", fit_percent=fit, limit=90.0, reached=reached)
     assert list(_limit(each)) == [f"'y': the simulation fits {fit:.1f} %, {said}"]
+
+
+def test_a_record_beyond_the_range_of_training_is_told_and_no_order_is_advised() -> None:
+    beyond = Beyond("valve", "%", 6, 100, (40.0, 60.0), (10.0, 50.0))
+    said = (
+        "'valve' leaves the range of the records fitted to, 10 to 50, at 6 of 100 samples (40 to 60): no data speak "
+        "for the model there."
+    )
+    coloured: Any = SimpleNamespace(
+        name="y", depends=(SimpleNamespace(p_value=1e-9),), white=SimpleNamespace(p_value=0.5), simulation_depends=(),
+        simulation_r1=0.0, limit=None, by_input=(None,), by_state=(),
+    )  # fmt: skip
+    steps: Any = SimpleNamespace(predicted=np.zeros((1, 1)), persistence=np.ones((1, 1)))
+    named, linear = Channels(("valve",), ("y",), ("%",), ("",)), Linearisations((), (), np.ones(1), 1.0)
+    for found, advice in (
+        (beyond, "or it is the range that none was fitted to"),
+        (replace(beyond, samples=5), "try order 4"),
+    ):
+        lines = verdict((coloured,), steps, (), 3, np.zeros((1, 3)), named, linear, 0, (found,))[1:]
+        assert lines[0] == said.replace("at 6", f"at {found.samples}")
+        assert lines[1] == f"'y': residuals are dependent on 'valve': dynamics are missing; {advice}."
+        assert len(lines) == 2
 
 
 def told(poles: list[list[complex]], integrating: int, without: tuple[str, ...] = ()) -> list[str]:

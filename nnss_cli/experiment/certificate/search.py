@@ -15,7 +15,7 @@ from nnss_cli.experiment.certificate.equilibria import two_equilibria
 from nnss_cli.experiment.certificate.lti import weighted_norm
 from nnss_cli.experiment.certificate.region import Region, invariant, surrounding
 from nnss_cli.experiment.certificate.result import Gain, Statement
-from nnss_cli.experiment.certificate.statements import ROUNDED, small_gain
+from nnss_cli.experiment.certificate.statements import ROUNDED, falls, small_gain
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.iterative import named_random
 from nnss_cli.model.incremental import Lure
@@ -62,7 +62,7 @@ def not_searched(system: Neural, bounds: tuple[float, float, float], scaling: Sc
     gain = _by_construction(system, bounds, scaling) or nothing
     if not system.promise.pairs:
         return Found(gain, nothing, None, None, Statement("incremental", "unknown", TOGETHER, None, "", why))
-    claim = f"‖x1 − x2‖ falls by {system.gamma:g} a sample"
+    claim = falls("‖x1 − x2‖", system.gamma)
     how = "by construction, in exact arithmetic: a slope-restricted layer and one matrix inequality"
     together = Statement("incremental", "proved", claim, system.gamma, "every two x(0) and every input", how)
     differences = nothing
@@ -243,10 +243,10 @@ def _rate(
         return None
     how = f"branch and bound, {found.boxes} boxes, {ROUNDED}"
     if differences:
-        claim = f"‖S⁻¹(x1 − x2)‖ falls by {found.number:.8g} a sample"
+        claim = falls("‖S⁻¹(x1 − x2)‖", found.number)
         holds = f"any two x(0) of a region around 0 that is never left, {where}"
         return Statement("incremental", "proved", claim, found.number, holds, how)
-    claim = f"V(x) = ‖S⁻¹x‖² falls by {found.number:.8g}² a sample for u = 0"
+    claim = falls("V(x) = ‖S⁻¹x‖²", found.number, "²") + " for u = 0"
     return Statement(
         "quadratic", "proved", claim, found.number, f"every x of a region that is never left, {where}", how
     )
@@ -309,7 +309,7 @@ def _of_layer(
     if slowest is None:
         return gain, differences, incremental, None
     if system.gamma == 1:  # by construction the distance does not grow, which says less
-        claim = f"‖S⁻¹(x1 − x2)‖ falls by {slowest.number:.8g} a sample"
+        claim = falls("‖S⁻¹(x1 − x2)‖", slowest.number)
         incremental = Statement("incremental", "proved", claim, slowest.number, "every two x(0) and every input", how)
     reach = weighted_norm(np.hstack([np.zeros_like(plain.A), plain.B + plain.F @ plain.H / 2]), slowest.S)
     reach += weighted_norm(np.hstack([np.zeros_like(plain.A), plain.F]), slowest.S) * float(np.linalg.norm(plain.H)) / 2

@@ -32,6 +32,11 @@ class Sampled:
     """ρ(A) at a ρ where it is proved to reach γ, or 1 where that is not promised, and its margin; None without."""
 
 
+def falls(what: str, rate: float, power: str = "") -> str:
+    """That it is at most `rate` (to a power, as text) times what it was, a sample later."""
+    return f"{what} does not grow" if rate == 1 else f"{what} falls to {rate:.8g}{power} times or less a sample"
+
+
 def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Statement, ...]:
     """Of a system whose A, B, C, D are constant: all follows from a Lyapunov matrix of A."""
     radius = system.spectral_radius()
@@ -54,10 +59,10 @@ def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Stateme
     bound = float(np.linalg.norm(S, 2)) * reach * input_bound / (1 - rate) * (1 + 1e-9)
     return (
         Statement("frozen", "proved", claim, radius, "every x", how),
-        Statement("quadratic", "proved", f"V(x) = ‖S⁻¹x‖² falls by {rate:.8g}² a sample", rate, EVERY, how),
+        Statement("quadratic", "proved", falls("V(x) = ‖S⁻¹x‖²", rate, "²"), rate, EVERY, how),
         Statement("state", "proved", f"‖x(k)‖ ≤ {bound:.6g}", bound, "x(0) = 0 and inputs within their range", how),
         Statement(
-            "incremental", "proved", f"‖S⁻¹(x1 − x2)‖ falls by {rate:.8g} a sample", rate, EVERY,
+            "incremental", "proved", falls("‖S⁻¹(x1 − x2)‖", rate), rate, EVERY,
             how + "; differences obey the same A",
         ),
     )  # fmt: skip
@@ -88,7 +93,7 @@ def quadratic(promise: Promise, gamma: float, seen: Sampled, broken: tuple[str, 
         return Statement("quadratic", "unknown", claim, seen.norm, "", "; ".join(broken))
     if promise.norm:
         how = f"by construction, in exact arithmetic: ‖A(ρ)‖₂ < {gamma:g}; largest seen {seen.norm:.6g}"
-        return Statement("quadratic", "proved", f"‖x‖ falls by {gamma:g} a sample for u = 0", gamma, "every ρ", how)
+        return Statement("quadratic", "proved", falls("‖x‖", gamma) + " for u = 0", gamma, "every ρ", how)
     if seen.lyapunov_rate is not None:
         return Statement("quadratic", "sampled", claim, seen.lyapunov_rate, "sampled ρ only", seen.lyapunov)
     return Statement("quadratic", "unknown", claim, None, "", seen.lyapunov)
