@@ -215,7 +215,7 @@ def test_profiles_show_the_driving_input_and_the_state_that_explains_most(page: 
     left, middle, poles = axes[6:9]
     assert (left.get_xlabel(), middle.get_xlabel()) == ("b", "state x3")
     assert (left.get_title(), middle.get_title()) == (
-        "12.3 % of the variance, 99 % bands", "30.0 % of the variance, 99 % bands",
+        "12.3 % of the variance beyond a line, 99 % bands", "30.0 % of the variance beyond a line, 99 % bands",
     )  # fmt: skip
     assert left.lines[0].get_xdata().tolist() == [0, 1]
     assert left.lines[0].get_ydata().tolist() == [0.2, -0.1]
