@@ -159,8 +159,8 @@ class Description:
     output_units: tuple[str, ...] = _option(_all(_line), ())
     """Unit of each output, in which errors are reported. Default: likewise."""
     time: str | int | None = _option(_column, None, optional=True)
-    """Column of the time: seconds, or dates as 2024-01-31T12:00:00.5. Checked to be uniform unless resample is
-    given."""
+    """Column of the time: seconds, another unit that its name states, as "t [ms]" or "time_ms", or dates as
+    2024-01-31T12:00:00.5. Checked to be uniform unless resample is given."""
     Ts: float | None = _option(_seconds, None, optional=True)
     """Sampling time in seconds; with a time column the two must agree to 0.1 %."""
     resample: float | None = _option(_seconds, None, optional=True)

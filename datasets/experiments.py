@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from nnss_cli.datasets.description import Description
-from nnss_cli.datasets.formats import numbers, place, read_table, times
+from nnss_cli.datasets.formats import numbers, place, read_table, time_note, times
 from nnss_cli.datasets.preparation import (
     PartName,
     Where,
@@ -210,7 +210,8 @@ def read_signals(description: Description, file: str) -> Signals:
     with _naming(path):
         stamps = None if description.time is None else times(table, names[-1])
         t, Ts = _time_axis(description, stamps, len(values), where)
-    notes = []
+    told = "" if description.time is None else time_note(table, names[-1])
+    notes = [f"'{path.name}': {told}"] if told else []
     count = int(np.isnan(values).sum())
     if description.missing == "refuse":
         check_complete(values, signals, where)

@@ -13,6 +13,7 @@ import pandas as pd
 from nnss_cli.datasets.arrayfile import as_table, hdf5_variables, is_hdf5, mat_variables, npz_variables
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown, shown_path
+from nnss_cli.datasets.units import NO_UNIT, SECONDS, time_unit_in
 
 from nnss_cli.errors import InputError, nearest
 
@@ -22,6 +23,8 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Suffixes of delimited text, which may be packed (.csv.gz)."""
 SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
 """All suffixes that are known."""
+LATEST = 1e10
+"""Seconds, three hundred years: a larger time in no stated unit is Unix time in ms, µs or ns, or ticks."""
 
 
 def read_table(path: Path, columns: Columns | None = None, sheet: str | int | None = None) -> pd.DataFrame:
@@ -124,16 +127,16 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
 
 
 def times(table: pd.DataFrame, name: str) -> FloatArray:
-    """A time column in seconds: numbers as they are, dates and ISO 8601 text as seconds since the first.
+    """A time column in seconds: numbers in the unit that its name states, dates and ISO 8601 text since the first.
 
     Raises:
-        InputError: a cell is neither; the message names row and column.
+        InputError: a cell is neither, and the message names row and column; or the numbers are no seconds, and are
+            told to be in no unit of time.
     """
     column = table[name]
+    if _holds_numbers(column):
+        return _in_seconds(table, name)
     if column.dtype.kind == "O":
-        values = [_number(value) for value in column]
-        if all(isinstance(value, float) for value in values):
-            return numbers(table, name)
         # Cell by cell, so that "2024-01-01" and 17 in one column are told apart.
         as_text = [value if isinstance(value, str) else getattr(value, "isoformat", lambda: None)() for value in column]
         stamps = pd.to_datetime(pd.Series(as_text, dtype=object), format="ISO8601", utc=True, errors="coerce")
@@ -144,17 +147,49 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
                 f"{place(table, k)}, column '{name}': expected a time (seconds, or as 2024-01-31T12:00:00.5), "
                 f"found {shown(column.iloc[k])}: leave the column out and give the sampling time, or write it so"
             )
-    elif column.dtype.kind == "M":
-        stamps = column
     else:
-        return numbers(table, name)
+        stamps = column
     start = stamps[stamps.notna()].iloc[0] if stamps.notna().any() else None
     return np.asarray((stamps - start).dt.total_seconds(), dtype=np.float64)
+
+
+def time_note(table: pd.DataFrame, name: str) -> str:
+    """What is to be told of a time column: that its numbers are in another unit than seconds; else ""."""
+    unit = time_unit_in(name)
+    if unit in ("s", NO_UNIT) or not _holds_numbers(table[name]):
+        return ""
+    return f"the time column '{name}' is read in {unit}, as its name says"
 
 
 def place(table: pd.DataFrame, k: int) -> str:
     """Where sample k stands: the file, and the row as counted there."""
     return f"'{table.attrs.get('source', 'table')}' row {table.index[k]}"
+
+
+def _holds_numbers(column: pd.Series) -> bool:
+    if column.dtype.kind == "O":
+        return all(isinstance(_number(value), float) for value in column)
+    return column.dtype.kind != "M"
+
+
+def _in_seconds(table: pd.DataFrame, name: str) -> FloatArray:
+    """A time column of numbers, from the unit that its name states."""
+    values, unit = numbers(table, name), time_unit_in(name)
+    if unit in SECONDS:
+        return values * SECONDS[unit].numerator / SECONDS[unit].denominator
+    at = f"'{table.attrs.get('source', 'table')}', column '{name}': "
+    if unit != NO_UNIT:
+        raise InputError(
+            f"{at}expected a unit of time ({', '.join(SECONDS)}), found '{unit}': leave the column out and give the "
+            "sampling time (--ts), or state its unit in its name, as in 't [ms]'"
+        )
+    late = np.abs(values) > LATEST
+    if late.any():
+        raise InputError(
+            f"{at}expected seconds, found {values[int(late.argmax())]:.16g}, as of Unix time in ms, µs or ns: state "
+            "the unit in the column's name, as in 't [ms]', or leave it out and give the sampling time (--ts)"
+        )
+    return values
 
 
 def _number(value: object) -> object:

@@ -1,8 +1,9 @@
-"""Units in the names of columns: "y [V]", "level (cm)"."""
+"""Units in the names of columns: "y [V]", "level (cm)", and of a time "time_ms"."""
 
 from __future__ import annotations
 
 import re
+from fractions import Fraction
 
 NO_UNIT = "–"
 """Where none is stated."""
@@ -17,6 +18,20 @@ _SYMBOL = (
 _UNIT = re.compile(rf"(?:1/)?(?:{_SYMBOL})(?:\^?-?\d|[²³])?(?:\s*[*·/ ]\s*(?:{_SYMBOL})(?:\^?-?\d|[²³])?)*")
 _NUMBER = re.compile(r"[\d.,+-]+")
 
+SECONDS = {
+    "s": Fraction(1), "ms": Fraction(1, 10**3), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9),
+    "min": Fraction(60), "h": Fraction(3600), "d": Fraction(86400),
+}  # fmt: skip
+"""Units of time that a time column may have, in seconds."""
+_SPELLINGS = {
+    "s": "s sec secs second seconds", "ms": "ms msec msecs millisecond milliseconds",
+    "us": "us µs μs usec usecs microsecond microseconds", "ns": "ns nsec nsecs nanosecond nanoseconds",
+    "min": "min mins minute minutes", "h": "h hr hrs hour hours", "d": "d day days",
+}  # fmt: skip
+_UNIT_OF_TIME = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
+_TIME_ENDING = re.compile(rf"(?:.*[\W_])?({'|'.join(_UNIT_OF_TIME)})", re.IGNORECASE)
+_COUNTS = re.compile(r"samples?|ticks?|steps?|counts?|cycles?|index", re.IGNORECASE)  # in parentheses no words, these
+
 
 def unit_in(name: str) -> str:
     """The unit at the end of a column's name; `NO_UNIT` where there is none.
@@ -29,6 +44,25 @@ def unit_in(name: str) -> str:
     if (found := _PARENTHESISED.fullmatch(name)) and _UNIT.fullmatch(found[1]):
         return found[1]
     return NO_UNIT
+
+
+def time_unit_in(name: str) -> str:
+    """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms" or "t/h".
+
+    One of `SECONDS`; what stands in the brackets where that is none of time; `NO_UNIT` where there is none.
+    """
+    unit = unit_in(name)
+    if unit == NO_UNIT and (found := _PARENTHESISED.fullmatch(name)):
+        unit = found[1] if found[1].lower() in _UNIT_OF_TIME or _COUNTS.fullmatch(found[1]) else NO_UNIT
+    if unit == NO_UNIT and (found := _TIME_ENDING.fullmatch(name)):
+        unit = found[1]
+    return _UNIT_OF_TIME.get(unit.lower(), unit)
+
+
+def is_of_another_quantity(name: str) -> bool:
+    """Whether a name ends in a unit that is known and none of time, as "T [°C]" does."""
+    unit = time_unit_in(name)
+    return unit not in SECONDS and _UNIT.fullmatch(unit) is not None
 
 
 def titled(name: str, unit: str) -> str:

@@ -14,10 +14,10 @@ import pandas as pd
 
 from nnss_cli.datasets.description import Description, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
-from nnss_cli.datasets.formats import find_column, numbers, place, read_table, times
+from nnss_cli.datasets.formats import find_column, numbers, place, read_table, time_note, times
 from nnss_cli.datasets.preparation import PartName, Where, cut
 from nnss_cli.datasets.record import FloatArray
-from nnss_cli.datasets.units import unit_in
+from nnss_cli.datasets.units import is_of_another_quantity, unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
@@ -195,10 +195,12 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     taken = {*given["inputs"], *given["outputs"]}
     time = None if fields.get("time") is None else find_column(table, fields["time"])
     if time is None and fields.get("Ts") is None:
-        time = next((name for name in columns if name not in taken and (name in dates or _TIME.fullmatch(name))), None)
+        time = next((name for name in columns if name not in taken and (name in dates or _is_named_time(name))), None)
         if time is not None:
             guesses.append(f"Column '{time}' is taken for the time: --time or --ts says otherwise.")
             guessed.append("time")
+    if time is not None and (unit := time_note(table, time)):
+        guesses.append(f"{unit[0].upper()}{unit[1:]}.")
     others = [name for name in columns if name not in taken and name != time]
     if stamps := [name for name in others if name in dates]:
         guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
@@ -279,6 +281,11 @@ def _units(roles: Roles, fields: Mapping[str, Any]) -> list[str]:
             raise InputError(f"{key}: expected one for each of {', '.join(columns)}, found {len(units)}")
         found += units
     return found
+
+
+def _is_named_time(name: str) -> bool:
+    """Whether a name reads as a time's; that of a temperature, "T [°C]", does not."""
+    return _TIME.fullmatch(name) is not None and not is_of_another_quantity(name)
 
 
 def _is_numeric(column: pd.Series) -> bool:

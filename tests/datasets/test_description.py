@@ -198,6 +198,15 @@ def test_without_a_time_column_samples_are_evenly_apart(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.train[0].y[:, 0], 3.0 + np.arange(60), rtol=1e-12)
 
 
+def test_a_time_in_another_unit_gives_seconds_and_a_note(tmp_path: Path) -> None:
+    frame = signals().rename(columns={"t": "t [ms]"})
+    frame["t [ms]"] *= 1000
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    found = load_experiments(described(tmp_path, time="t [ms]", Ts=None))
+    assert found.train[0].Ts == 0.5
+    assert found.notes == ("'a.csv': the time column 't [ms]' is read in ms, as its name says",)
+
+
 def test_one_file_is_cut_in_time_order(tmp_path: Path) -> None:
     frame = signals()
     frame.to_csv(tmp_path / "a.csv", index=False)

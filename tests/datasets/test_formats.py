@@ -20,7 +20,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from nnss_cli.datasets import arrayfile, textfile
-from nnss_cli.datasets.formats import SUFFIXES, numbers, read_table, times
+from nnss_cli.datasets.formats import SUFFIXES, numbers, read_table, time_note, times
 from scipy.io import savemat
 
 from nnss_cli.errors import InputError
@@ -247,6 +247,30 @@ def test_times_are_seconds_whichever_way_they_are_written(tmp_path: Path) -> Non
     wrong = write(tmp_path / "c.csv", "t,y\n2024-01-01,1\n01.02.2024,2\n")
     with pytest.raises(InputError, match=r"'c.csv' row 3, column 't': expected a time .* found '01.02.2024'"):
         times(read_table(wrong), "t")
+
+
+def test_a_time_is_read_in_the_unit_that_its_name_states(tmp_path: Path) -> None:
+    for name, seconds in {"t": 1, "t [s]": 1, "time_ms": 1e-3, "t (µs)": 1e-6, "Time [min]": 60, "t [h]": 3600}.items():
+        table = read_table(write(tmp_path / "a.csv", f"{name},y\n0,1\n20,2\n40,\n"))
+        np.testing.assert_allclose(times(table, name), 20.0 * np.arange(3) * seconds, rtol=1e-15)
+        unit = {1e-3: "ms", 1e-6: "us", 60: "min", 3600: "h"}.get(seconds)
+        assert time_note(table, name) == (
+            f"the time column '{name}' is read in {unit}, as its name says" if unit else ""
+        )
+    dates = read_table(write(tmp_path / "a.csv", "Time [min],y\n2024-01-01 00:00,1\n2024-01-01 00:01,2\n"))
+    assert times(dates, "Time [min]")[1] == 60
+    assert time_note(dates, "Time [min]") == ""
+
+
+def test_numbers_that_are_no_seconds_are_refused(tmp_path: Path) -> None:
+    table = read_table(
+        write(tmp_path / "a.csv", "t [samples],t,t [ms]\n0,,1709625600000\n1,1709625600020,1709625600020\n")
+    )
+    with pytest.raises(InputError, match=r"'a.csv', column 't \[samples\]': expected a unit of time .*found 'samples'"):
+        times(table, "t [samples]")
+    with pytest.raises(InputError, match="expected seconds, found 1709625600020, as of Unix time in ms"):
+        times(table, "t")
+    np.testing.assert_allclose(np.diff(times(table, "t [ms]")), 0.02, rtol=1e-4)
 
 
 def test_columns_by_name_and_number(tmp_path: Path) -> None:

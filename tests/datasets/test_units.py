@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from nnss_cli.datasets.description import Description
 from nnss_cli.datasets.experiments import load_experiments
-from nnss_cli.datasets.units import titled, unit_in
+from nnss_cli.datasets.units import is_of_another_quantity, time_unit_in, titled, unit_in
 
 from nnss_cli.errors import nearest
 
@@ -23,6 +23,21 @@ from nnss_cli.errors import nearest
 )  # fmt: skip
 def test_the_unit_is_what_a_name_ends_in(name: str, unit: str) -> None:
     assert unit_in(name) == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t [ms]", "ms"), ("Time (min)", "min"), ("t(us)", "us"), ("t [µs]", "us"), ("t (μs)", "us"), ("Zeit [h]", "h"),
+        ("time [D]", "d"), ("time_ms", "ms"), ("timestamp.ns", "ns"), ("t/s", "s"), ("time in minutes", "min"),
+        ("Time (Seconds)", "s"), ("elapsed sec", "s"), ("ms", "ms"), ("log/t_us", "us"),
+        ("t", "–"), ("time", "–"), ("items", "–"), ("times", "–"), ("t_1", "–"), ("t [-]", "–"), ("t (UTC)", "–"),
+        ("t [samples]", "samples"), ("t (samples)", "samples"), ("T [°C]", "°C"), ("t (mm)", "mm"),
+    ],
+)  # fmt: skip
+def test_the_unit_of_a_time_is_what_its_name_ends_in(name: str, unit: str) -> None:
+    assert time_unit_in(name) == unit
+    assert is_of_another_quantity(name) == (unit in ("°C", "mm"))
 
 
 def test_a_title_tells_a_unit_once() -> None:

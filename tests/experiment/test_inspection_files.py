@@ -70,6 +70,15 @@ def test_a_column_of_that_name_is_the_time_unless_there_is_a_sampling_time(name:
     assert assign_roles(table("tank", "u", "y"), {}).time is None
 
 
+def test_a_temperature_is_no_time_and_a_unit_of_time_is_told() -> None:
+    """ "T [°C]" is named as a time would be."""
+    assert assign_roles(table("T [°C]", "u", "y"), {}).time is None
+    assert assign_roles(table("t [samples]", "u", "y"), {}).time == "t [samples]"  # to be refused, not an input
+    told = "The time column 'time_ms' is read in ms, as its name says."
+    for fields in ({}, {"time": "time_ms"}):
+        assert told in assign_roles(table("time_ms", "u", "y"), fields).guesses
+
+
 def test_a_column_of_dates_is_the_time_whatever_its_name() -> None:
     frame = table("u", "y", when=pd.to_datetime(["2020-01-01", "2020-01-02"]))
     assert assign_roles(frame, {}).time == "when"
