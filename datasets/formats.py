@@ -13,7 +13,7 @@ import pandas as pd
 from nnss_cli.datasets.arrayfile import as_table, hdf5_variables, is_hdf5, mat_variables, npz_variables
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.textfile import LARGEST, cell, check_names, header, printable, read_text, shown, shown_path
-from nnss_cli.datasets.units import NO_UNIT, SECONDS, time_unit_in
+from nnss_cli.datasets.units import NO_UNIT, SECONDS, is_time_name, time_unit_in
 
 from nnss_cli.errors import InputError, nearest
 
@@ -159,6 +159,35 @@ def time_note(table: pd.DataFrame, name: str) -> str:
     if unit in ("s", NO_UNIT) or not _holds_numbers(table[name]):
         return ""
     return f"the time column '{name}' is read in {unit}, as its name says"
+
+
+def guess_time(names: Sequence[str], dates: Sequence[str]) -> str | None:
+    """The column that is taken for the time where none is given: the first of dates or of a time's name.
+
+    Args:
+        names: of the columns that may be it.
+        dates: those that hold dates, whatever their names.
+    """
+    return next((name for name in names if name in dates or is_time_name(name)), None)
+
+
+def is_numeric(column: pd.Series) -> bool:
+    """Whether a column holds numbers, or numbers with a few wrong cells, which are then named; not an empty one."""
+    if column.dtype.kind in "fiub":
+        return bool(column.notna().any())
+    return column.dtype.kind == "O" and bool(pd.to_numeric(column, errors="coerce").notna().mean() > 0.5)
+
+
+def holds_dates(table: pd.DataFrame, name: str) -> bool:
+    """Whether a column holds dates, as a `time` column may."""
+    column = table[name]
+    if column.dtype.kind != "O" or is_numeric(column) or not column.notna().any():
+        return column.dtype.kind == "M"
+    try:
+        times(table, name)
+    except InputError:
+        return False
+    return True
 
 
 def place(table: pd.DataFrame, k: int) -> str:

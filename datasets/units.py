@@ -30,6 +30,7 @@ _SPELLINGS = {
 }  # fmt: skip
 _UNIT_OF_TIME = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _TIME_ENDING = re.compile(rf"(?:.*[\W_])?({'|'.join(_UNIT_OF_TIME)})", re.IGNORECASE)
+_TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
 _COUNTS = re.compile(r"samples?|ticks?|steps?|counts?|cycles?|index", re.IGNORECASE)  # in parentheses no words, these
 
 
@@ -59,10 +60,11 @@ def time_unit_in(name: str) -> str:
     return _UNIT_OF_TIME.get(unit.lower(), unit)
 
 
-def is_of_another_quantity(name: str) -> bool:
-    """Whether a name ends in a unit that is known and none of time, as "T [°C]" does."""
+def is_time_name(name: str) -> bool:
+    """Whether a name reads as a time's, as "t", "Time [s]", "date_1"; a temperature's, "T [°C]", does not."""
     unit = time_unit_in(name)
-    return unit not in SECONDS and _UNIT.fullmatch(unit) is not None
+    of_another_quantity = unit not in SECONDS and _UNIT.fullmatch(unit) is not None
+    return _TIME.fullmatch(name) is not None and not of_another_quantity
 
 
 def titled(name: str, unit: str) -> str:

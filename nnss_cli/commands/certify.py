@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from nnss_cli.commands import options as opt
 from nnss_cli.errors import InputError
 
 
@@ -24,6 +25,7 @@ def command(
             "--data", metavar="FILE", help="File with a column per input and output, instead of the run's own records."
         ),
     ] = None,
+    Ts: opt.FileTs = None,
     steps: Annotated[int, typer.Option("--steps", metavar="N", help="Samples of each stress run.", min=1)] = 1_000_000,
     budget: Annotated[
         float,
@@ -45,7 +47,7 @@ def command(
     skipped: list[tuple[str, str]] = []
     for folder in folders or [model]:
         try:
-            found += _certificates(folder, model, data, steps, budget)
+            found += _certificates(folder, model, data, Ts, steps, budget)
         except InputError as error:
             if len(folders) < 2:
                 raise
@@ -90,7 +92,9 @@ def command(
         raise typer.Exit(1)
 
 
-def _certificates(folder: Path, root: Path, data: Path | None, steps: int, budget: float) -> list[tuple[str, Any]]:
+def _certificates(
+    folder: Path, root: Path, data: Path | None, Ts: float | None, steps: int, budget: float
+) -> list[tuple[str, Any]]:
     """Name and certificate of the model in a folder, or of each member of an ensemble."""
     from nnss_cli.experiment.certificate import certify
     from nnss_cli.experiment.certificate.many import members, name_of
@@ -102,7 +106,7 @@ def _certificates(folder: Path, root: Path, data: Path | None, steps: int, budge
     if data is None:
         splits = records_of(trained.folder, trained.Ts)
     else:
-        splits = {"data": (read_record(trained, data),)}
+        splits = {"data": (read_record(trained, data, Ts=Ts),)}
     return [
         (name, certify(member, splits, steps, budget=budget, init_window=trained.init_window))
         for name, member in members(name_of(trained.folder, root), trained.model)

@@ -52,7 +52,7 @@ def command(
 
     trained = load(model)
     record = read_record(trained, file, time=time, Ts=Ts, sheet=sheet)
-    given = None if data is None else read_record(trained, data, sheet=sheet)
+    given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
     written = places(out, "predicted.csv", *[".png"] * plot, force=force)
     predictor = forecaster(trained, given, guard)
     found = predict_record(predictor, record, horizon, interval, interval_by)

@@ -51,7 +51,7 @@ def command(
     if interval is not None:
         from nnss_cli.validation.trained import simulation_limits
 
-        given = None if data is None else read_record(trained, data, sheet=sheet)
+        given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
         limits = simulation_limits(trained, found, interval, interval_by, given)
     require_writable(written[0].parent)
     write_text(written[0], simulated_table(trained, found, states, limits.pair if limits else None))

@@ -70,7 +70,7 @@ def command(
         name, records = records_to_validate(trained, split)
     else:
         name, records = file.name, (read_record(trained, file, time=time, Ts=Ts, sheet=sheet),)
-    given = None if data is None else read_record(trained, data, sheet=sheet)
+    given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
     assert trained.folder is not None
     usual = f"validation-{trained.folder.resolve().name}.png"
     written = [] if as_json else places(out, usual, force=force)

@@ -14,17 +14,26 @@ import pandas as pd
 
 from nnss_cli.datasets.description import Description, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
-from nnss_cli.datasets.formats import find_column, numbers, place, read_table, time_note, times
+from nnss_cli.datasets.formats import (
+    find_column,
+    guess_time,
+    holds_dates,
+    is_numeric,
+    numbers,
+    place,
+    read_table,
+    time_note,
+    times,
+)
 from nnss_cli.datasets.preparation import PartName, Where, cut
 from nnss_cli.datasets.record import FloatArray
-from nnss_cli.datasets.units import is_of_another_quantity, unit_in
+from nnss_cli.datasets.units import unit_in
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
 from nnss_cli.experiment.inspection_split import Part, Split
 from nnss_cli.experiment.source import describe, described_with, record_name
 
-_TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
 _OUTPUT = re.compile(r"(y|out|output)([^a-z].*)?", re.IGNORECASE)
 
@@ -191,11 +200,11 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     }
     guesses, guessed = [], [role for role in ("inputs", "outputs") if not given[role]]
     columns = [str(name) for name in table.columns]
-    dates = [name for name in columns if _are_dates(table, name)]
+    dates = [name for name in columns if holds_dates(table, name)]
     taken = {*given["inputs"], *given["outputs"]}
     time = None if fields.get("time") is None else find_column(table, fields["time"])
     if time is None and fields.get("Ts") is None:
-        time = next((name for name in columns if name not in taken and (name in dates or _is_named_time(name))), None)
+        time = guess_time([name for name in columns if name not in taken], dates)
         if time is not None:
             guesses.append(f"Column '{time}' is taken for the time: --time or --ts says otherwise.")
             guessed.append("time")
@@ -204,7 +213,7 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     others = [name for name in columns if name not in taken and name != time]
     if stamps := [name for name in others if name in dates]:
         guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
-    if words := [name for name in others if name not in dates and not _is_numeric(table[name])]:
+    if words := [name for name in others if name not in dates and not is_numeric(table[name])]:
         guesses.append(f"Left out, since they hold no numbers: {', '.join(words)}.")
     free = [name for name in others if name not in {*stamps, *words}]
     inputs, outputs = given["inputs"], given["outputs"]
@@ -281,30 +290,6 @@ def _units(roles: Roles, fields: Mapping[str, Any]) -> list[str]:
             raise InputError(f"{key}: expected one for each of {', '.join(columns)}, found {len(units)}")
         found += units
     return found
-
-
-def _is_named_time(name: str) -> bool:
-    """Whether a name reads as a time's; that of a temperature, "T [°C]", does not."""
-    return _TIME.fullmatch(name) is not None and not is_of_another_quantity(name)
-
-
-def _is_numeric(column: pd.Series) -> bool:
-    """Whether a column holds numbers, or numbers with a few wrong cells, which are then named; not an empty one."""
-    if column.dtype.kind in "fiub":
-        return bool(column.notna().any())
-    return column.dtype.kind == "O" and bool(pd.to_numeric(column, errors="coerce").notna().mean() > 0.5)
-
-
-def _are_dates(table: pd.DataFrame, name: str) -> bool:
-    """Whether a column holds dates, as a `time` column may."""
-    column = table[name]
-    if column.dtype.kind != "O" or _is_numeric(column) or not column.notna().any():
-        return column.dtype.kind == "M"
-    try:
-        times(table, name)
-    except InputError:
-        return False
-    return True
 
 
 def _relative(path: Path, folder: Path) -> str:

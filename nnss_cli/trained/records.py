@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.formats import numbers, place, read_table, times
+from nnss_cli.datasets.formats import guess_time, holds_dates, numbers, place, read_table, times
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
@@ -45,7 +46,8 @@ def read_record(
         model: tells the columns by its channels' names; other columns are ignored.
         path: of any format that a record may have (docs/own-data.md).
         time: column of the time; it must be uniform, with the model's sampling time to 0.1 %.
-        Ts: sampling time of the file [s], to be checked likewise; the model's where neither is given.
+        Ts: sampling time of the file [s], to be checked likewise. Where neither is given, a column that reads as a time
+            is checked, and passed over where it is no regular time; without one, the file has the model's.
         sheet: of an Excel file.
 
     Raises:
@@ -113,7 +115,7 @@ def _columns(
     `without_outputs` ends the message where outputs alone are missing.
     """
     try:
-        table = read_table(path, [*names] if time is None else [*names, time], sheet)
+        table = _table(path, [*names] if time is None else [*names, time], sheet, time is None and Ts is None)
     except InputError as error:
         if "has no column" not in str(error):
             raise
@@ -127,7 +129,7 @@ def _columns(
             + without_outputs
             * (not set(missing) & set(model.channels.inputs))
         ) from error
-    stamped = [str(column) for column in table.columns][-1]
+    stamped = str(table.columns[-1])
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
@@ -138,7 +140,32 @@ def _columns(
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
+    if time is None and Ts is None and (found := _regular_time(table, names)) is not None:
+        over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
+        check_agreement(model.Ts, found[1], f"'{path.name}', column '{found[0]}', against the model", over)
     return values, table
+
+
+def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, whole: bool) -> Any:
+    """The columns wanted; the whole table where that is asked for and holds them, as one of several records may not."""
+    if whole:
+        with suppress(InputError):
+            table = read_table(path, None, sheet)
+            if set(wanted) <= set(table.columns):
+                return table
+    return read_table(path, wanted, sheet)
+
+
+def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str, float] | None:
+    """The column that reads as a time, and its sampling time [s]; None where there is none that is regular."""
+    others = [str(name) for name in table.columns if name not in channels]
+    name = guess_time(others, [other for other in others if holds_dates(table, other)])
+    if name is None:
+        return None
+    try:
+        return name, uniform_Ts(times(table, name))
+    except InputError:  # nothing was said of this column: it may be anything
+        return None
 
 
 def _check_length(path: Path, found: int, needed: int, window: int) -> None:

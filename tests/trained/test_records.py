@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import InputError
 from nnss_cli.trained import TrainedModel, load, read_record, read_start
@@ -93,6 +96,49 @@ def test_messages_name_what_a_model_can_do_with_a_file(model: TrainedModel, tmp_
     assert told(read_start, table(t=0.4 * np.arange(8)), time="t").endswith(alone)
     uneven = told(read_record, table(t=np.arange(8) ** 2.0), time="t")
     assert uneven.endswith("steps are off): repair the file, or leave --time out where the times are only rounded")
+
+
+@pytest.mark.parametrize("clock", ["t", "Time (s)", "time_ms", "when"])
+def test_a_time_that_nobody_named_is_checked(clock: str, model: TrainedModel, tmp_path: Path) -> None:
+    """By the rule by which `inspect` guesses it; --ts passes over it, and so does one that is no regular time."""
+
+    def written(step: float) -> Path:
+        seconds = step * np.arange(8) + 3
+        dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(seconds, unit="s")
+        clocks = {"time_ms": 1000 * seconds, "when": dates}
+        table().rename(columns={"t": "index"}).assign(**{clock: clocks.get(clock, seconds)}).to_csv(
+            tmp_path / "new.csv", index=False
+        )
+        return tmp_path / "new.csv"
+
+    assert len(read_record(model, written(0.5))) == 8
+    for read in (read_record, read_start):
+        with pytest.raises(InputError) as error:
+            read(model, written(0.4))
+        assert str(error.value) == (
+            f"'new.csv', column '{clock}', against the model: sampling time 0.4 s, expected 0.5 s: a model runs at its "
+            "own sampling time alone: bring the file to 0.5 s, or pass over the column (--ts 0.5) where it is no time "
+            "of these samples"
+        )
+        read(model, written(0.4), Ts=0.5)
+
+
+def test_what_is_no_regular_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
+    new = tmp_path / "new.csv"
+    for column in (
+        np.arange(8) ** 2.0,
+        5.0 - np.arange(8),
+        ["on"] * 8,
+        nan_at_three(np.arange(8)),
+        1e12 + np.arange(8),
+    ):
+        table(t=column).to_csv(new, index=False)
+        assert len(read_record(model, new)) == 8
+    table().rename(columns={"t": "t [samples]"}).to_csv(new, index=False)
+    assert len(read_record(model, new)) == 8
+    table(t=0.4 * np.arange(8)).to_csv(new, index=False)
+    driven: Any = SimpleNamespace(channels=Channels(("t",), ("y1",), ("°C",), ("m",)), Ts=0.5, init_window=1)
+    assert len(read_record(driven, new)) == 8
 
 
 def nan_at_three(values: np.ndarray) -> np.ndarray:
