@@ -134,7 +134,7 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
             told to be in no unit of time.
     """
     column = table[name]
-    if _holds_numbers(column):
+    if holds_numbers(column):
         return _in_seconds(table, name)
     if column.dtype.kind == "O":
         # Cell by cell, so that "2024-01-01" and 17 in one column are told apart.
@@ -156,7 +156,7 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
 def time_note(table: pd.DataFrame, name: str) -> str:
     """What is to be told of a time column: that its numbers are in another unit than seconds; else ""."""
     unit = time_unit_in(name)
-    if unit in ("s", NO_UNIT) or not _holds_numbers(table[name]):
+    if unit in ("s", NO_UNIT) or not holds_numbers(table[name]):
         return ""
     return f"the time column '{name}' is read in {unit}, as its name says"
 
@@ -190,15 +190,16 @@ def holds_dates(table: pd.DataFrame, name: str) -> bool:
     return True
 
 
-def place(table: pd.DataFrame, k: int) -> str:
-    """Where sample k stands: the file, and the row as counted there."""
-    return f"'{table.attrs.get('source', 'table')}' row {table.index[k]}"
-
-
-def _holds_numbers(column: pd.Series) -> bool:
+def holds_numbers(column: pd.Series) -> bool:
+    """Whether each cell of a column is a number or empty."""
     if column.dtype.kind == "O":
         return all(isinstance(_number(value), float) for value in column)
     return column.dtype.kind != "M"
+
+
+def place(table: pd.DataFrame, k: int) -> str:
+    """Where sample k stands: the file, and the row as counted there."""
+    return f"'{table.attrs.get('source', 'table')}' row {table.index[k]}"
 
 
 def _in_seconds(table: pd.DataFrame, name: str) -> FloatArray:

@@ -45,19 +45,19 @@ def command(
     from nnss_cli.files import places, require_writable, write_text
     from nnss_cli.report.simulation import beyond_rows
     from nnss_cli.report.validation import gain_lines, guard_lines, step_rows
-    from nnss_cli.trained import load, read_record
+    from nnss_cli.trained import load, read_record, read_timed
     from nnss_cli.trained.simulate import beyond_training, output_table
     from nnss_cli.validation.predict import predict_record
     from nnss_cli.validation.trained import forecaster
 
     trained = load(model)
-    record = read_record(trained, file, time=time, Ts=Ts, sheet=sheet)
+    record, t = read_timed(trained, file, time=time, Ts=Ts, sheet=sheet)
     given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
     written = places(out, "predicted.csv", *[".png"] * plot, force=force)
     predictor = forecaster(trained, given, guard)
     found = predict_record(predictor, record, horizon, interval, interval_by)
     require_writable(written[0].parent)
-    write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None))
+    write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None, t=t))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
     known = predictor.fitting.train if given is None else ()
     if beyond := beyond_training(known, trained.channels, record.u, record.y):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.formats import guess_time, holds_dates, numbers, place, read_table, times
+from nnss_cli.datasets.formats import guess_time, holds_dates, holds_numbers, numbers, place, read_table, times
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
@@ -30,6 +30,8 @@ class Start:
     """First output samples (w, m), physical units; None where they were not asked for."""
     y: FloatArray | None
     """Outputs (K, m) to be compared with, NaN where a sample is missing; None where all beyond the window are."""
+    t: FloatArray | None = None
+    """Instants (K,) [s], where a time column of numbers was read."""
 
 
 def read_record(
@@ -54,13 +56,36 @@ def read_record(
         InputError: it cannot be read; a column is missing; another sampling time; missing samples; too short for the
             model's init window. One line each.
     """
+    return read_timed(model, path, time=time, Ts=Ts, sheet=sheet)[0]
+
+
+def read_timed(
+    model: TrainedModel,
+    path: str | Path,
+    *,
+    time: str | int | None = None,
+    Ts: float | None = None,
+    sheet: str | int | None = None,
+) -> tuple[Record, FloatArray | None]:
+    """As `read_record`, and the instants (K,) [s] where a time column of numbers was read.
+
+    Args:
+        model: as for `read_record`.
+        path: as for `read_record`.
+        time: as for `read_record`.
+        Ts: as for `read_record`.
+        sheet: as for `read_record`.
+
+    Raises:
+        InputError: as `read_record`.
+    """
     path = Path(path)
     names = (*model.channels.inputs, *model.channels.outputs)
-    values, table = _columns(model, path, names, time, Ts, sheet)
+    values, table, t = _columns(model, path, names, time, Ts, sheet)
     check_complete(values, names, lambda k: place(table, k), FILL)
     _check_length(path, len(values), model.init_window + (model.init_window > 1), model.init_window)
     r = len(model.channels.inputs)
-    return Record(values[:, :r], values[:, r:], model.Ts)
+    return Record(values[:, :r], values[:, r:], model.Ts), t
 
 
 def read_start(
@@ -90,15 +115,15 @@ def read_start(
     path = Path(path)
     inputs, w = model.channels.inputs, model.init_window
     names = (*inputs, *model.channels.outputs) if outputs else inputs
-    values, table = _columns(model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs")
+    values, table, t = _columns(model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs")
     u, y = values[:, : len(inputs)], values[:, len(inputs) :]
     check_complete(u, inputs, lambda k: place(table, k), FILL)
     if not outputs:
-        return Start(u, None, None)
+        return Start(u, None, None, t)
     _check_length(path, len(values), w, w)
     first = "fill them in in the file, cut these rows, or give --start rest, which needs no outputs"
     check_complete(y[:w], model.channels.outputs, lambda k: place(table, k), first)
-    return Start(u, y[:w], y if np.isfinite(y[w:]).any() else None)
+    return Start(u, y[:w], y if np.isfinite(y[w:]).any() else None, t)
 
 
 def _columns(
@@ -109,8 +134,8 @@ def _columns(
     Ts: float | None,
     sheet: str | int | None,
     without_outputs: str = "",
-) -> tuple[FloatArray, Any]:
-    """Values (K, c) of these columns, NaN where a sample is missing, and the table.
+) -> tuple[FloatArray, Any, FloatArray | None]:
+    """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if numbers.
 
     `without_outputs` ends the message where outputs alone are missing.
     """
@@ -133,17 +158,20 @@ def _columns(
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
+    clock, t = (None, None) if time is None else (stamped, times(table, stamped))
     at_its_own = f"a model runs at its own sampling time alone: bring the file to {model.Ts:.9g} s"
-    if time is not None:
+    if t is not None:
         rounded = "repair the file, or leave --time out where the times are only rounded"
-        found = uniform_Ts(times(table, stamped), lambda k: place(table, k), rounded)
+        found = uniform_Ts(t, lambda k: place(table, k), rounded)
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
-    if time is None and Ts is None and (found := _regular_time(table, names)) is not None:
-        over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
-        check_agreement(model.Ts, found[1], f"'{path.name}', column '{found[0]}', against the model", over)
-    return values, table
+    if time is None and Ts is None:
+        clock, t = _regular_time(table, names)
+        if t is not None:
+            over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
+            check_agreement(model.Ts, uniform_Ts(t), f"'{path.name}', column '{clock}', against the model", over)
+    return values, table, t if clock is not None and holds_numbers(table[clock]) else None
 
 
 def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, whole: bool) -> Any:
@@ -156,16 +184,16 @@ def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, who
     return read_table(path, wanted, sheet)
 
 
-def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str, float] | None:
-    """The column that reads as a time, and its sampling time [s]; None where there is none that is regular."""
+def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str | None, FloatArray | None]:
+    """The column that reads as a time, and its instants [s]; None where there is none that is regular."""
     others = [str(name) for name in table.columns if name not in channels]
     name = guess_time(others, [other for other in others if holds_dates(table, other)])
-    if name is None:
-        return None
-    try:
-        return name, uniform_Ts(times(table, name))
-    except InputError:  # nothing was said of this column: it may be anything
-        return None
+    if name is not None:
+        with suppress(InputError):  # nothing was said of this column: it may be anything
+            t = times(table, name)
+            uniform_Ts(t)
+            return name, t
+    return None, None
 
 
 def _check_length(path: Path, found: int, needed: int, window: int) -> None:

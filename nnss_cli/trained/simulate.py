@@ -37,6 +37,8 @@ class Simulated:
     """Measured outputs (K, m), NaN where a sample is missing; None where all are, but for those of the start."""
     scores: tuple[Score, ...]
     """Errors of each output over what was measured of it after the init window; none of one without."""
+    t: FloatArray | None = None
+    """Instants (K,) [s] as the file has them; None where no time column of numbers was read."""
 
     def seconds(self, Ts: float) -> FloatArray:
         """The instants (K,) [s], from 0."""
@@ -119,7 +121,7 @@ def simulate_file(
         simulation = model.simulate(found.u, found.y_init)
     require_finite(f"'{Path(path).name}': the simulation", simulation.y)
     if found.y is None:
-        return Simulated(found.u, simulation.y, simulation.x, None, ())
+        return Simulated(found.u, simulation.y, simulation.x, None, (), found.t)
     begin = model.init_window if model.init_window > 1 else 0
     whole = np.isfinite(found.y).all(axis=1)
     scaling = model.scaling or Scaling.of((Record(found.u[whole], found.y[whole], model.Ts),))
@@ -127,7 +129,7 @@ def simulate_file(
     for i, there in enumerate(np.isfinite(found.y[begin:]).T):
         if there.any():
             scores.append(score_outputs("file", [found.y[begin:][there]], [simulation.y[begin:][there]], scaling)[i])
-    return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores))
+    return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores), found.t)
 
 
 def require_finite(what: str, y: FloatArray) -> None:
@@ -159,7 +161,7 @@ def simulated_table(
         states: whether to add them, as x1 …
         limits: of a band (K, m) each, to be added.
     """
-    return output_table(model, found.y, limits, found.x if states else None)
+    return output_table(model, found.y, limits, found.x if states else None, found.t)
 
 
 def output_table(
@@ -167,13 +169,24 @@ def output_table(
     y: FloatArray,
     limits: tuple[FloatArray, FloatArray] | None = None,
     x: FloatArray | None = None,
+    t: FloatArray | None = None,
 ) -> str:
-    """Outputs as CSV: time from 0, each output by its name, its limits as <name>_low and <name>_high, states x1 …"""
+    """Outputs as CSV: time, each output by its name, its limits as <name>_low and <name>_high, states x1 …
+
+    Args:
+        model: names the outputs.
+        y: outputs (K, m), physical units.
+        limits: of a band (K, m) each.
+        x: states (K, n).
+        t: instants (K,) [s]; from 0 at the model's sampling time where there are none.
+    """
     import pandas as pd
 
     names = model.channels.outputs
     clock = next(name for name in ("time", "t", "seconds", "time [s]", "time from start [s]") if name not in names)
-    columns = {clock: np.arange(len(y)) * model.Ts} | dict(zip(names, y.T, strict=True))
+    seconds = np.arange(len(y)) * model.Ts if t is None else t
+    # three digits more than values have: Unix time in steps of a millisecond has thirteen
+    columns = {clock: [f"{instant:.15g}" for instant in seconds]} | dict(zip(names, y.T, strict=True))
     for suffix, limit in zip(("low", "high"), limits or (), strict=False):
         columns |= {f"{name}_{suffix}": limit[:, i] for i, name in enumerate(names)}
     if x is not None:

@@ -49,6 +49,25 @@ def test_simulate_writes_what_the_model_simulates(
     assert f"{rmse:.3g}"[:4] in done.out
 
 
+def test_what_is_written_has_the_times_of_the_file(
+    new: Path, nnss: Callable, trained_folder: Callable[..., Path]
+) -> None:
+    """To the millisecond of Unix time; dates, an uneven column and one that --ts passes over give the time since 0."""
+    plain = pd.read_csv(new)
+    since = np.arange(len(plain)) * 0.5
+    dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(since, unit="s")
+    for clock, column, options, expected in (
+        ("t", since + 12.5, (), since + 12.5), ("t [ms]", 1000 * since + 1709625600001, (), since + 1709625600.001),
+        ("clock", since - 3, ("--time", "clock"), since - 3), ("t", dates, (), since), ("t", since**2, (), since),
+        ("t", since + 12.5, ("--ts", "0.5"), since),
+    ):  # fmt: skip
+        plain.assign(**{clock: column}).to_csv(new, index=False)
+        for command in ("simulate", "predict"):
+            done = nnss(command, trained_folder(), new, *options, "--out", "out.csv", "--force")
+            assert done.code == 0, done.err
+            np.testing.assert_allclose(pd.read_csv("out.csv")["time"], expected, rtol=0, atol=1e-5)
+
+
 def test_a_long_record_is_simulated_in_compiled_code(
     new: Path,
     nnss: Callable,
