@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from nnss_cli.datasets.description import Description
-from nnss_cli.datasets.formats import numbers, place, read_table, time_note, times
+from nnss_cli.datasets.formats import numbers, place, read_table, steady_times, time_note
 from nnss_cli.datasets.preparation import (
     PartName,
     Where,
@@ -208,7 +208,7 @@ def read_signals(description: Description, file: str) -> Signals:
             f"{where(k)}, column '{signals[i]}': {values[k, i]:g}: expected numbers below {LARGEST_VALUE:g}"
         )
     with _naming(path):
-        stamps = None if description.time is None else times(table, names[-1])
+        stamps = None if description.time is None else steady_times(table, names[-1])
         t, Ts = _time_axis(description, stamps, len(values), where)
     told = "" if description.time is None else time_note(table, names[-1])
     notes = [f"'{path.name}': {told}"] if told else []

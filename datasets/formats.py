@@ -23,6 +23,8 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Suffixes of delimited text, which may be packed (.csv.gz)."""
 SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
 """All suffixes that are known."""
+SAME = 0.01
+"""Part of the usual step to within which a jump counts as an hour's, and its neighbours as no jumps."""
 LATEST = 1e10
 """Seconds, three hundred years: a larger time in no stated unit is Unix time in ms, µs or ns, or ticks."""
 
@@ -151,6 +153,46 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
         stamps = column
     start = stamps[stamps.notna()].iloc[0] if stamps.notna().any() else None
     return np.asarray((stamps - start).dt.total_seconds(), dtype=np.float64)
+
+
+def clock_change(table: pd.DataFrame, name: str, t: FloatArray) -> str:
+    """Where a time column of local stamps jumps by an hour amid regular steps, as clocks do twice a year; else "".
+
+    Resampled or sorted, such a record would be wrong by that hour, so it is told apart from a gap. A jump ahead may be
+    one, and counts only at night, when clocks change.
+
+    Args:
+        table: has the column.
+        name: of it.
+        t: its `times`.
+    """
+    column, steps = table[name], np.diff(t)
+    if holds_numbers(column) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
+        return ""
+    even = np.abs(steps - usual) <= SAME * usual
+    amid = np.concatenate([[True], even[:-1]]) & np.concatenate([even[1:], [True]])
+    for k in np.flatnonzero(amid & (np.abs(np.abs(steps - usual) - 3600) <= SAME * usual)):
+        before, after = pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
+        if after.tzinfo is None and (steps[k] < usual or 1 <= after.hour <= 4):
+            return (
+                f"{place(table, k + 1)}, column '{name}': the time goes from {before.isoformat()} to "
+                f"{after.isoformat()} amid steps of {usual:.6g} s, which looks like a clock set to summer or winter "
+                "time: write UTC or offsets (as +01:00), or leave the column out and give the sampling time "
+                f"(--ts {usual:.9g})"
+            )
+    return ""
+
+
+def steady_times(table: pd.DataFrame, name: str) -> FloatArray:
+    """A column's `times`, of one clock.
+
+    Raises:
+        InputError: as `times`; or there is a `clock_change`.
+    """
+    t = times(table, name)
+    if change := clock_change(table, name, t):
+        raise InputError(change)
+    return t
 
 
 def time_note(table: pd.DataFrame, name: str) -> str:

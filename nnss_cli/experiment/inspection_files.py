@@ -15,6 +15,7 @@ import pandas as pd
 from nnss_cli.datasets.description import Description, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
 from nnss_cli.datasets.formats import (
+    clock_change,
     find_column,
     guess_time,
     holds_dates,
@@ -87,6 +88,8 @@ class _Experiments:
     """Names a sample of each."""
     used: tuple[str, ...] = ()
     """What was done to them, in sentences."""
+    remarks: tuple[str, ...] = ()
+    """What is to be said of their clocks, in sentences."""
 
 
 def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
@@ -131,6 +134,7 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
                 check_length(role, files[part.experiment], part.stop - part.start, plan)
     if read.used:
         found = replace(found, clock=replace(found.clock, source="preparation"))
+    found = replace(found, remarks=(*read.remarks, *found.remarks))
     means = ("models are about the means of the outputs (detrend constant)",) * (
         plan is not None and plan.detrend == "constant"
     )
@@ -139,14 +143,18 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
 
 def _as_they_are(tables: Sequence[pd.DataFrame], roles: Roles, fields: Mapping[str, Any]) -> _Experiments:
     columns = [[find_column(table, name) for name in (*roles.inputs, *roles.outputs)] for table in tables]
+    clocks = [] if roles.time is None else [find_column(table, roles.time) for table in tables]
+    instants = [times(table, name) for table, name in zip(tables, clocks, strict=False)]
+    changes = map(clock_change, tables, clocks, instants)
     return _Experiments(
         [
             np.column_stack([numbers(table, name) for name in names])
             for table, names in zip(tables, columns, strict=True)
         ],
         fields.get("Ts"),
-        None if roles.time is None else [times(table, find_column(table, roles.time)) for table in tables],
+        instants or None,
         [partial(place, table) for table in tables],
+        remarks=tuple(f"{change}." for change in changes if change),
     )
 
 

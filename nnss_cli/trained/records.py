@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.formats import guess_time, holds_dates, holds_numbers, numbers, place, read_table, times
+from nnss_cli.datasets.formats import (
+    guess_time,
+    holds_dates,
+    holds_numbers,
+    numbers,
+    place,
+    read_table,
+    steady_times,
+    times,
+)
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
@@ -158,7 +167,7 @@ def _columns(
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
-    clock, t = (None, None) if time is None else (stamped, times(table, stamped))
+    clock, t = (None, None) if time is None else (stamped, steady_times(table, stamped))
     at_its_own = f"a model runs at its own sampling time alone: bring the file to {model.Ts:.9g} s"
     if t is not None:
         rounded = "repair the file, or leave --time out where the times are only rounded"

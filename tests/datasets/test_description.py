@@ -207,6 +207,16 @@ def test_a_time_in_another_unit_gives_seconds_and_a_note(tmp_path: Path) -> None
     assert found.notes == ("'a.csv': the time column 't [ms]' is read in ms, as its name says",)
 
 
+def test_a_clock_set_to_winter_time_is_neither_resampled_nor_interpolated(tmp_path: Path) -> None:
+    stamps = pd.date_range("2024-10-26T22:00", periods=len(signals()), freq="5min", tz="Europe/Berlin")
+    signals().assign(t=stamps.tz_localize(None)).to_csv(tmp_path / "a.csv", index=False)
+    for preparation in ({}, {"resample": 300.0}):
+        with pytest.raises(
+            InputError, match=r"'a.csv' row 62, column 't': .* looks like a clock set to summer or winter"
+        ):
+            load_experiments(described(tmp_path, time="t", Ts=None, **preparation))
+
+
 def test_one_file_is_cut_in_time_order(tmp_path: Path) -> None:
     frame = signals()
     frame.to_csv(tmp_path / "a.csv", index=False)

@@ -20,7 +20,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from nnss_cli.datasets import arrayfile, textfile
-from nnss_cli.datasets.formats import SUFFIXES, numbers, read_table, time_note, times
+from nnss_cli.datasets.formats import SUFFIXES, clock_change, numbers, read_table, steady_times, time_note, times
 from scipy.io import savemat
 
 from nnss_cli.errors import InputError
@@ -271,6 +271,33 @@ def test_numbers_that_are_no_seconds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected seconds, found 1709625600020, as of Unix time in ms"):
         times(table, "t")
     np.testing.assert_allclose(np.diff(times(table, "t [ms]")), 0.02, rtol=1e-4)
+
+
+@pytest.mark.parametrize("minutes", [5, 60])
+@pytest.mark.parametrize(("start", "to"), [("2024-03-30", "03:00"), ("2024-10-26", "02:00")])
+def test_a_clock_set_to_summer_or_winter_time_is_told(minutes: int, start: str, to: str, tmp_path: Path) -> None:
+    """Not where there are offsets, not of a gap by day, and not of numbers."""
+    stamps = pd.Series(
+        pd.date_range(f"{start}T00:00", periods=3000 // minutes, freq=f"{minutes}min", tz="Europe/Berlin")
+    )
+
+    def told(values: pd.Series) -> str:
+        values.rename("when").to_csv(tmp_path / "a.csv")
+        table = read_table(tmp_path / "a.csv")
+        return clock_change(table, "when", times(table, "when"))
+
+    local = stamps.dt.tz_localize(None)
+    message = told(local)
+    at = int(np.flatnonzero(local.diff() != pd.Timedelta(minutes=minutes))[1]) + 2
+    assert message.startswith(f"'a.csv' row {at}, column 'when': the time goes from {start[:8]}")
+    assert f"T{to}:00 amid steps of {60 * minutes} s, which looks like a clock set to summer or winter time" in message
+    assert message.endswith(f"or leave the column out and give the sampling time (--ts {60 * minutes})")
+    with pytest.raises(InputError, match="looks like a clock"):
+        steady_times(read_table(tmp_path / "a.csv"), "when")
+    assert told(stamps) == told(stamps.dt.tz_convert("UTC").dt.tz_localize(None)) == ""
+    by_day = pd.Series(pd.date_range("2024-03-30T08:00", periods=100, freq="1min"))
+    assert told(by_day.where(by_day.index < 50, by_day + pd.Timedelta(hours=1))) == ""
+    assert told(pd.Series(np.where(np.arange(100) < 50, 0, 3600) + 300 * np.arange(100))) == ""
 
 
 def test_columns_by_name_and_number(tmp_path: Path) -> None:

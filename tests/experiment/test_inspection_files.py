@@ -79,6 +79,15 @@ def test_a_temperature_is_no_time_and_a_unit_of_time_is_told() -> None:
         assert told in assign_roles(table("time_ms", "u", "y"), fields).guesses
 
 
+def test_a_clock_set_to_summer_time_is_a_remark(tmp_path: Path) -> None:
+    stamps = pd.date_range("2024-03-30T20:00", periods=150, freq="5min", tz="Europe/Berlin").tz_localize(None)
+    frame = pd.DataFrame(np.random.default_rng(0).standard_normal((150, 2)), columns=["u", "y"])
+    frame.assign(time=stamps).to_csv(tmp_path / "a.csv", index=False)
+    seen = examine_files([str(tmp_path / "a.csv")], {})
+    assert seen.found.remarks[0].startswith("'a.csv' row 74, column 'time': the time goes from 2024-03-31T01:55:00 to ")
+    assert "looks like a clock set to summer or winter time" in seen.found.remarks[0]
+
+
 def test_a_column_of_dates_is_the_time_whatever_its_name() -> None:
     frame = table("u", "y", when=pd.to_datetime(["2020-01-01", "2020-01-02"]))
     assert assign_roles(frame, {}).time == "when"
