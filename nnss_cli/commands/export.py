@@ -34,7 +34,7 @@ def command(
         f"{to}: the arrays are the model's; the functions were not run, for there is no Octave"
     ]:
         console.print(str(found), soft_wrap=True, highlight=False)
-    if done.start:
-        console.print(done.start, soft_wrap=True, highlight=False)
+    for said in filter(None, (done.left_out, done.start)):
+        console.print(said, soft_wrap=True, highlight=False)
     for path in done.files:
         console.print(str(path), soft_wrap=True, highlight=False)

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+import textwrap
 from collections.abc import Sequence
 from math import prod
 from pathlib import Path
@@ -18,11 +19,12 @@ import numpy as np
 from nnss_cli.elementary import Array, Node, Program
 from nnss_cli.errors import InputError
 from nnss_cli.export.facts import header
-from nnss_cli.export.parity import Parity, ParityError, Trial, check
+from nnss_cli.export.parity import Parity, ParityError, Trial, check, single_left_out
 from nnss_cli.files import write_text
 from nnss_cli.trained import TrainedModel
 
 TOLERANCES = {"double": 1e-12, "float": 1e-5}
+UNHELD = "#error single precision does not hold the signals of this model"
 FLAGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O3")
 
 _ROOT = """
@@ -48,14 +50,15 @@ static real sigmoid(real a)
 
 
 def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Path, name: str) -> list[Parity]:
-    """<name>.h and <name>.c, compiled and checked in double and in single precision.
+    """<name>.h and <name>.c, compiled and checked in double and, where it holds the signals, in single precision.
 
     Raises:
         InputError: there is no C compiler to check them with.
         ParityError: they do not compile, or compute something else.
     """
-    system, upper = model.system, name.upper()
-    head = ["/*", *(f" * {line}".replace("*/", "* /").rstrip() for line in header(facts))]
+    system, upper, left_out = model.system, name.upper(), single_left_out(model, trial)
+    single = left_out or f"Compile with -D{upper}_FLOAT for single precision."
+    head = ["/*", *_comment(header(facts))]
     sizes = {"STATES": system.size, "INPUTS": system.inputs, "OUTPUTS": system.outputs}
     write_text(folder / f"{name}.h", "\n".join([
         *head,
@@ -63,14 +66,16 @@ def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Pa
         f" * {name}_initial(y0, u0, z);            the state from {system.starts_from}",
         f" * for each sample: {name}_step(z, u, y);  the output y of this sample, and z moves on to the next",
         " *",
-        f" * Compile with -D{upper}_FLOAT for single precision. Nothing is allocated; the working memory is static, so",
-        " * that two calls must not run at once. The only library function used is exp (expf).",
+        *_comment(textwrap.wrap(
+            f"{single} Nothing is allocated; the working memory is static, so that two calls must not run at once. The "
+            "only library function used is exp (expf).", 110
+        )),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
         "",
         f"#ifdef {upper}_FLOAT",
-        f"typedef float {name}_real;",
+        f"typedef float {name}_real;" if not left_out else UNHELD,
         "#else",
         f"typedef double {name}_real;",
         "#endif",
@@ -116,7 +121,14 @@ def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Pa
         *bodies,
     ]))  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="nnss-c-") as aside:
-        return [_check(folder, name, kind, trial, Path(aside)) for kind in TOLERANCES]
+        return [
+            _check(folder, name, kind, trial, Path(aside)) for kind in TOLERANCES if not (left_out and kind == "float")
+        ]
+
+
+def _comment(lines: Sequence[str]) -> list[str]:
+    """Lines within a comment, which they cannot end."""
+    return [f" * {line}".replace("*/", "* /").rstrip() for line in lines]
 
 
 class _Emitter:

@@ -87,8 +87,8 @@ def write_mat(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: 
         },
         "trial": {
             "u": trial.u, "y": trial.y, "z": trial.z, "unit": trial.unit,
-            "y0": trial.y0, "u0": trial.u0, "z0": trial.z0, "step_tolerance": TOLERANCE,
-            "tolerance": TOLERANCE * min(trial.accumulation, 1e9),
+            "y0": trial.y0, "u0": trial.u0, "z0": trial.z0, "step_tolerance": trial.tolerance(TOLERANCE),
+            "tolerance": trial.tolerance(TOLERANCE) * min(trial.accumulation, 1e9),
         },
     }  # fmt: skip
     packed = io.BytesIO()

@@ -24,7 +24,8 @@ IR_VERSION = 8
 def write_onnx(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Path, name: str) -> list[Parity]:
     """<name>_step_<type>.onnx (z, u → z_next, y) and <name>_simulate_<type>.onnx (u, z0 → y, z), checked.
 
-    Vectors are of one axis: z (N,), u (r,), y (m,); of the simulation u is (K, r), y (K, m) and z (K, N).
+    Those of a type that does not hold the signals are not written. Vectors are of one axis: z (N,), u (r,), y (m,); of
+    the simulation u is (K, r), y (K, m) and z (K, N).
     """
     properties = {
         "Ts": repr(model.Ts), "inputs": ", ".join(facts["inputs"]), "outputs": ", ".join(facts["outputs"]),
@@ -32,7 +33,7 @@ def write_onnx(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder:
         "fingerprint": facts["fingerprint"] or "",
     }  # fmt: skip
     found = []
-    for precision in TOLERANCES:
+    for precision in filter(trial.holds, TOLERANCES):
         graphs = {"step": _step, "simulate": _simulate}
         for part, make in graphs.items():
             content = _model(make(model.system, precision), " ".join(header(facts)), properties)

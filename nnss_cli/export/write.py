@@ -13,7 +13,7 @@ from typing import Any
 
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.export.facts import facts_of
-from nnss_cli.export.parity import Parity, Trial, trial_of
+from nnss_cli.export.parity import Parity, Trial, single_left_out, trial_of
 from nnss_cli.files import require_writable, write_bytes, write_text
 from nnss_cli.trained import TrainedModel
 
@@ -26,13 +26,15 @@ class _Target:
     """Name of the function."""
     needs: tuple[str, ...] = ()
     """Packages beyond nnss's own."""
+    single: bool = False
+    """Whether it has single precision beside double, where that holds the model's signals."""
 
 
 _TARGETS = {
     "control": _Target("nnss_cli.export.control_module", "write_control"),
     "casadi": _Target("nnss_cli.export.casadi_function", "write_casadi", ("casadi",)),
-    "onnx": _Target("nnss_cli.export.onnx_graph", "write_onnx", ("onnx", "onnxruntime")),
-    "c": _Target("nnss_cli.export.c99", "write_c"),
+    "onnx": _Target("nnss_cli.export.onnx_graph", "write_onnx", ("onnx", "onnxruntime"), single=True),
+    "c": _Target("nnss_cli.export.c99", "write_c", single=True),
     "mat": _Target("nnss_cli.export.matlab", "write_mat"),
 }
 TARGETS = tuple(_TARGETS)
@@ -49,6 +51,8 @@ class Exported:
     """How far each part of them is from the model."""
     start: str
     """How their start differs from the model's; "" where it does not."""
+    left_out: str
+    """Why there is none in single precision; "" where there is, and of targets that never have one."""
 
 
 def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", force: bool = False) -> Exported:
@@ -83,7 +87,8 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
     facts, trial = facts_of(model), trial_of(model)
     with tempfile.TemporaryDirectory(prefix="nnss-export-") as aside:
         parity = write(model, facts, trial, Path(aside), name)
-        content = facts | {"target": to, "parity": [asdict(found) for found in parity]}
+        left_out = single_left_out(model, trial) if target.single else ""
+        content = facts | {"target": to, "parity": [asdict(found) for found in parity], "left_out": left_out}
         write_text(Path(aside) / f"{name}.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
         made = sorted(path for path in Path(aside).iterdir() if path.is_file())
         placed = [out / path.name for path in made]
@@ -93,4 +98,4 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
         require_writable(out)
         for source, path in zip(made, placed, strict=True):
             write_bytes(path, source.read_bytes())
-    return Exported(tuple(placed), tuple(parity), facts["start"])
+    return Exported(tuple(placed), tuple(parity), facts["start"], left_out)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
+import torch
 from nnss_cli.datasets.catalog import load as load_dataset
 from nnss_cli.datasets.record import Channels, Scaling
 
@@ -50,14 +52,15 @@ def names(kinds: tuple) -> list[str]:
 
 
 def untrained(
-    stability: str, scheduling: str, n: int, size: tuple[int, int], seed: int = 0, **more: Any
+    stability: str, scheduling: str, n: int, size: tuple[int, int], seed: int = 0, offset: float = 0.0, **more: Any
 ) -> TrainedModel:
-    """An NN-SS model of random weights; every second order has feedthrough."""
+    """An NN-SS model of random weights, of signals this far from zero; every second order has feedthrough."""
     r, m = size
     random = np.random.default_rng(seed)
     scaling = Scaling(
-        random.normal(size=r), random.uniform(0.5, 2, r), random.normal(size=m), random.uniform(0.5, 2, m)
-    )
+        offset + random.normal(size=r), random.uniform(0.5, 2, r), offset + random.normal(size=m),
+        random.uniform(0.5, 2, m),
+    )  # fmt: skip
     channels = Channels(
         tuple(f"u{i + 1}" for i in range(r)), tuple(f"y{i + 1}" for i in range(m)), ("V",) * r, ("m",) * m
     )
@@ -240,6 +243,76 @@ def test_an_export_is_refused_ten_times_the_stated_tolerance_away(
         if part != "z0" or target != "onnx":  # which has no start
             with pytest.raises(ParityError, match="Octave" if target == "mat" else f"{what}.*no file was written"):
                 written(10, part)
+
+
+@pytest.mark.parametrize("target", ["c", "onnx", "control", "mat"])
+def test_an_offset_is_allowed_the_rounding_that_it_makes(target: str, tmp_path: Path) -> None:
+    """A float near 10,000 is 0.0005 off; a double near 10^8 is 1e-8 off, and no computation finds what is lost."""
+    for offset, single in ((1e4, True), (1e8, False)):
+        model = untrained("schur", "x+u+y", 3, (2, 2), offset=offset)
+        trial = parity.trial_of(model)
+        done = export(model, target, tmp_path / f"{offset:g}")
+        for found in done.parity:
+            eps = 1.2e-7 if "float" in found.what.replace("float64", "") else 2.2e-16
+            assert found.step <= 5 * eps * offset
+            assert max(1e-12, eps * offset) < found.tolerance < 20 * max(1e-11, eps * offset)
+            assert ("rounding of the signals makes up to" in str(found)) == (eps * offset > 1e-4)
+        assert trial.tolerance(1e-12) == pytest.approx(2 * 2.2e-16 * trial.rounding, rel=0.01)
+        has = target in ("c", "onnx")
+        kinds = [found.what.split()[-1] for found in done.parity]
+        assert any(kind in ("float", "float32") for kind in kinds) == (has and single)
+        assert bool(done.left_out) == (has and not single)
+        assert json.loads((tmp_path / f"{offset:g}" / "model.json").read_text())["left_out"] == done.left_out
+    if has:
+        assert re.fullmatch(
+            r"Single precision is not written: its rounding of the signals makes errors of more than 0\.01 deviations; "
+            r"the largest offset is that of [uy][12] \[[Vm]\], 1e\+08 beside a deviation of [\d.]+\.",
+            done.left_out,
+        )
+    if target == "onnx":
+        assert not list((tmp_path / "1e+08").glob("*float32*"))
+
+
+def test_c_without_single_precision_says_so_and_does_not_compile_for_it(nnss: Callable, tmp_path: Path) -> None:
+    model = untrained("schur", "x+u+y", 3, (2, 2), offset=1e8)
+    model.model.save(tmp_path / "model")
+    done = nnss("export", tmp_path / "model", "--to", "c", "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    assert "\nSingle precision is not written: its rounding" in done.out
+    header = " ".join((tmp_path / "out" / "model.h").read_text(encoding="utf-8").replace("\n *", "").split())
+    assert "Single precision is not written: its rounding of the signals" in header
+    source = tmp_path / "out" / "model.c"
+    c99.compile_c([source], tmp_path / "double.so", "-shared", "-fPIC")
+    with pytest.raises(ParityError, match="single precision does not hold the signals of this model"):
+        c99.compile_c([source], tmp_path / "float.so", "-shared", "-fPIC", "-DMODEL_FLOAT")
+
+
+def test_a_wrong_model_is_found_beside_an_offset(tmp_path: Path) -> None:
+    """Off by a hundredth of a deviation, where single precision is allowed a thousandth."""
+    model = untrained("schur", "x+u+y", 3, (2, 2), offset=1e4)
+    trial, facts = parity.trial_of(model), facts_of(model)
+    for part, off in (("y", 0.01 * trial.unit), ("z_next", 0.02 + 0.02 * np.abs(trial.z_next))):
+        moved = replace(trial, **{part: getattr(trial, part) + off})
+        for what in ("double", "float"):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(c99, "TOLERANCES", {what: c99.TOLERANCES[what]})
+                with pytest.raises(ParityError, match=f"C99, {what}"):
+                    c99.write_c(model, facts, moved, tmp_path, "model")
+
+
+def test_a_start_that_enlarges_rounding_is_allowed_it(tmp_path: Path) -> None:
+    """An encoder of outputs that are copies of each other may look at their difference, which is rounding."""
+    model = untrained("schur", "x", 2, (1, 2))
+    scale, first = torch.as_tensor(model.scaling.y_std), model.model.encoder[0]
+    with torch.no_grad():
+        first.weight += 1e4 * torch.tensor([1.0, -1.0]) * scale
+        first.bias += 1e4 * float(np.diff(-model.scaling.y_mean)[0])
+    trial = parity.trial_of(model)
+    y0 = np.full(2, trial.y0[0])
+    trial = replace(trial, y0=y0, z0=model.system.start(y0, trial.u0))
+    trial = replace(trial, rounding=parity._rounding(model.system, trial))
+    double, single = c99.write_c(model, facts_of(model), trial, tmp_path, "model")
+    assert max(double.start, 1e-5) < single.start < single.tolerance < 0.01
 
 
 def test_a_start_from_a_window_is_run_as_it_is_written(tmp_path: Path) -> None:
