@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from importlib import resources
 
 import pandas as pd
 
 from nnss_cli.datasets.record import FITTED_ON
+from nnss_cli.datasets.units import NO_UNIT
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
 from nnss_cli.report.statistics import quantile
@@ -16,6 +18,7 @@ from nnss_cli.report.style import Axis
 
 MEAN = "mean"  # name of the mean over outputs in the output column
 NORMALISED = "mean of RMSE/σ"
+UNITS_MIXED = "mean over outputs, units mixed"
 
 COLUMNS = [
     "dataset", "protocol", "method", "order", "seed", "split", "output", "channel", "unit", "rmse", "nrmse",
@@ -56,13 +59,34 @@ def _named(axis: Axis) -> dict[str, str]:
     return {"channel": axis.name, "unit": axis.unit}
 
 
+def mean_name(results: Sequence[RunResult]) -> str:
+    """What the mean over outputs of the RMSE in physical units is called; "" where there is none to show.
+
+    Of several units it says little: the output of the largest numbers rules it. It is there where all have one unit,
+    and where errors to compare with are known as such means.
+    """
+    first, outputs = results[0].spec, axes(results[0], "output")
+    units = {axis.unit for axis in outputs}
+    if len(outputs) == 1:
+        return ""
+    if len(units) == 1 and not units <= {"", NO_UNIT}:
+        return str(Axis("mean over outputs", *units))
+    return UNITS_MIXED if first.protocol == "paper" and first.dataset in _known_as_means() else ""
+
+
+@cache
+def _known_as_means() -> frozenset[str]:
+    printed = paper_table()
+    return frozenset([*printed.loc[printed["output"] == MEAN, "dataset"], *released_table()["dataset"]])
+
+
 def summary(results: Sequence[RunResult]) -> pd.DataFrame:
     """Statistics of the RMSE over seeds, by order, method, split and output.
 
     Runs without a result enter medians and quartiles as ∞: `runs` counts all, `ok` those that have one; the mean
-    is nan unless all have. Records of several outputs get two further outputs: "mean" (physical units, as the released
-    models are scored) and "mean of RMSE/σ", on which methods are ranked. `fit` is the median of the fit [%]. `best` is
-    the run that `best_run` picks on validation, on every split.
+    is nan unless all have. Records of several outputs get a further output "mean of RMSE/σ", on which methods are
+    ranked, and, where `mean_name` has a name for it, "mean" (physical units, as the released models are scored). `fit`
+    is the median of the fit [%]. `best` is the run that `best_run` picks on validation, on every split.
     """
     scored = long_table([result for result in results if result.status == "ok"])
     if scored.empty:
@@ -70,10 +94,8 @@ def summary(results: Sequence[RunResult]) -> pd.DataFrame:
     if scored["output"].nunique() > 1:
         keys = ["method", "order", "seed", "split"]
         means = scored.groupby(keys, as_index=False)[["rmse", "nrmse", "fit_percent"]].mean()
-        scored = pd.concat(
-            [scored, means.assign(output=MEAN), means.assign(output=NORMALISED, rmse=means["nrmse"])],
-            ignore_index=True,
-        )
+        physical = [means.assign(output=MEAN)] if mean_name(results) else []
+        scored = pd.concat([scored, *physical, means.assign(output=NORMALISED, rmse=means["nrmse"])], ignore_index=True)
     runs = {key: list(own) for key, own in runs_by_method(results).items()}
     outputs, rows = places(results[0]), []
     for (order, method, split, output), own in scored.groupby(["order", "method", "split", "output"]):

@@ -40,7 +40,7 @@ from nnss_cli.report.standing import (
 from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
 from nnss_cli.report.studies import study_text, write_study
 from nnss_cli.report.style import FORMATS, SCREEN, Look
-from nnss_cli.report.tables import failures
+from nnss_cli.report.tables import FREE, failures
 
 
 def write_report(
@@ -65,8 +65,7 @@ def write_report(
         raise InputError(f"no finished runs under '{out}': run 'nnss compare DATASET' first, or give --out")
     parts = [
         "# Comparison of identification methods",
-        "Rebuilt by `nnss report` from the runs on disk, without training. RMSE of free simulations from the first "
-        "output sample, in physical units.",
+        f"Rebuilt by `nnss report` from the runs on disk, without training. RMSE in physical units of {FREE}.",
     ]
     for protocol in sorted({store.protocol for store in found}):
         parts += _overall([r for s in found if s.protocol == protocol for r in tables[s].results], protocol, out)

@@ -27,7 +27,7 @@ from nnss_cli.report.aggregate import (
     test_error,
 )
 from nnss_cli.report.statistics import median_interval, quantile, quartile_interval, verdict
-from nnss_cli.report.tables import markdown, number
+from nnss_cli.report.tables import markdown, number, outputs_of
 
 PAPERS_OWN = "nnss-paper"  # the method that is NN-SS with the paper's recipe
 
@@ -105,12 +105,12 @@ def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
     lucky = _chosen_on_test(faithful)
     merged = printed.merge(ours, how="left", on=["order", "method", "output", "split"])
     merged = merged.merge(lucky, how="left", on=["order", "method", "output", "split"])
-    rows = []
+    rows, outputs = [], outputs_of(results)
     for row in merged[merged["lucky"].notna()].itertuples():
         unit = 10.0 ** -len(str(row.rmse).partition(".")[2])  # of the last printed digit
         rows.append(
             {
-                "order": str(row.order), "method": row.method, "output": row.output, "split": row.split,
+                "order": str(row.order), "method": row.method, "output": outputs[row.output], "split": row.split,
                 "paper": number(row.rmse), "ours, chosen as the paper does": number(row.lucky),
                 "runs": f"{row.ok:.0f}/{row.runs:.0f}",
                 "difference": _percent(row.lucky / row.rmse),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +18,11 @@ from nnss_cli.experiment.provenance import MADE_ON, MADE_WITH
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.tune import Trial
 from nnss_cli.report.aggregate import (
+    MEAN,
     NORMALISED,
+    UNITS_MIXED,
     is_combination,
+    mean_name,
     methods_of,
     places,
     runs_by_method,
@@ -39,6 +42,13 @@ SIGMA_AND_FIT = (
     "deviation within the split itself, about the mean of each record, so 0 % is no better than these means."
 )
 """What the two relative errors are relative to."""
+FREE = "free simulation from the first output sample, or from those of an init window, which are not scored"
+"""What is scored, of any run."""
+MIXED = (
+    " Their mean in physical units mixes units, so that the largest output rules it: it is here since errors to "
+    "compare with are such means."
+)
+"""Of a mean over outputs of several units."""
 
 
 def number(value: float | None, digits: int = 4) -> Cell:
@@ -135,12 +145,12 @@ def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) ->
     first = results[0].spec
     parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
-    names = methods_of(results)
+    names, outputs = methods_of(results), outputs_of(results)
     for split in splits_of(results):
-        body = rows_of_split(table, split, [name for name in names if not is_combination(name)])
+        body = rows_of_split(table, split, [name for name in names if not is_combination(name)], outputs)
         if body:
             parts.append(f"## {split_name(split).capitalize()}\n\n" + markdown(body))
-        apart = rows_of_split(table, split, [name for name in names if is_combination(name)])
+        apart = rows_of_split(table, split, [name for name in names if is_combination(name)], outputs)
         if apart:
             parts.append("Made of runs above, so no independent competitor:\n\n" + markdown(apart))
     for title, lines in (
@@ -151,22 +161,33 @@ def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) ->
     return "\n\n".join(parts) + "\n"
 
 
-def rows_of_split(table: pd.DataFrame, split: str, methods: list[str]) -> list[dict[str, str]]:
-    """The summary's rows of these methods for one split, as text, by order, method and output."""
+def rows_of_split(
+    table: pd.DataFrame, split: str, methods: list[str], outputs: Mapping[str, str]
+) -> list[dict[str, str]]:
+    """The summary's rows of these methods for one split, as text, by order, method and output.
+
+    Args:
+        table: the summary.
+        split: which one.
+        methods: in their order.
+        outputs: of `outputs_of`.
+    """
     if table.empty:
         return []
     rows = table[(table["split"] == split) & table["method"].isin(methods)]
     return [
         {
-            "order": whole(row.order), "method": str(row.method), "output": str(row.output),
+            "order": whole(row.order), "method": str(row.method), "output": outputs[str(row.output)],
             "runs": f"{row.ok}/{row.runs}", "mean": number(row.mean), "median": number(row.median),
             "fit [%]": percent(row.fit),
             "best by validation": f"{number(row.best)} (seed {row.best_seed})" if row.runs > 1 else number(row.best),
             "spread (q1–q3)": f"{number(row.q1)}–{number(row.q3)}" if row.runs > 1 else "–",
             "min–max": f"{number(row.min)}–{number(row.max)}" if row.runs > 1 else "–",
         }
-        for row in rows.assign(position=lambda t: t["method"].map(methods.index))
-        .sort_values(["order", "position", "output"])
+        for row in rows.assign(
+            position=lambda t: t["method"].map(methods.index), place=lambda t: t["output"].map([*outputs].index)
+        )
+        .sort_values(["order", "position", "place"])
         .itertuples()
     ]  # fmt: skip
 
@@ -209,6 +230,13 @@ def error_tables(results: Sequence[RunResult], apart: bool = False) -> list[Erro
 def output_names(result: RunResult) -> dict[str, str]:
     """y1, y2, … → the output's own name with its unit."""
     return {place: str(axis) for place, axis in places(result).items()}
+
+
+def outputs_of(results: Sequence[RunResult]) -> dict[str, str]:
+    """Name of an output in the scores, or of a mean over them → what it is called, with its unit."""
+    mean = mean_name(results)
+    means = ({MEAN: mean} if mean else {}) | ({NORMALISED: NORMALISED} if several_outputs(results) else {})
+    return output_names(results[0]) | means
 
 
 def terminal_title(results: Sequence[RunResult], split: str = "", output: str = "") -> str:
@@ -355,20 +383,22 @@ def _cells(table: pd.DataFrame, method: str, order: int, output: str) -> dict[st
 def _explanation(results: Sequence[RunResult]) -> str:
     notes = list(dict.fromkeys(note for result in results for note in result.notes))
     lines = [
-        "Free simulation from the first output sample, or from those of an init window, which are not scored; physical "
-        "units. Statistics are over seeds; a run without a result counts as ∞ in medians and quartiles. The best run "
-        "is chosen on validation, never on test. Every number is rebuilt from `runs/` by `nnss report`."
+        f"{FREE[0].upper()}{FREE[1:]}; physical units. Statistics are over seeds; a run without a result counts as ∞ "
+        "in medians and quartiles. The best run is chosen on validation, never on test. Every number is rebuilt from "
+        "`runs/` by `nnss report`."
     ]
     lines.append(SIGMA_AND_FIT)
     if several_outputs(results):
-        lines.append(
-            "Output `mean` is the mean over outputs in physical units, which the largest output rules; methods are "
-            "ranked by `mean of RMSE/σ`."
-        )
+        mixed = MIXED if mean_name(results) == UNITS_MIXED else ""
+        lines.append(f"Over outputs, methods are ranked by `{NORMALISED}`.{mixed}")
     told = [*notes, *options_apart(results), *versions_apart(results)]
     return "\n\n".join(lines + [f"Note: {note}" for note in told])
 
 
 def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
-    """A pipe table."""
-    return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)
+    """A pipe table; a pipe in a name, which is the user's, is none of its."""
+    kept = [
+        {key: value.replace("|", "\\|") if isinstance(value, str) else value for key, value in row.items()}
+        for row in rows
+    ]
+    return tabulate(kept, headers="keys", tablefmt="pipe", disable_numparse=True)

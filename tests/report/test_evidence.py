@@ -71,9 +71,9 @@ SEEDS = [run("nnss", 0, val=0.3, test=0.9), run("nnss", 1, val=0.2, test=0.8), r
 def test_the_papers_cells_beside_ours_chosen_on_test_as_the_paper_does() -> None:
     rows = paper_rows([*SEEDS, run("n4sid", val=1.0, test=2.21)])
     assert [tuple(row.values()) for row in rows] == [
-        ("3", "nnss", "y1", "test", "0.5", "0.5", "3/4", "+0 %", "reproduced", "0.85", "0.8"),
-        ("3", "nnss", "y1", "val", "0.25", "0.4", "3/4", "+60 %", "worse", "0.35", "0.2"),
-        ("3", "n4sid", "y1", "test", "2", "2.21", "1/1", "+10 %", "worse", "2.21", "2.21"),
+        ("3", "nnss", "y [m]", "test", "0.5", "0.5", "3/4", "+0 %", "reproduced", "0.85", "0.8"),
+        ("3", "nnss", "y [m]", "val", "0.25", "0.4", "3/4", "+60 %", "worse", "0.35", "0.2"),
+        ("3", "n4sid", "y [m]", "test", "2", "2.21", "1/1", "+10 %", "worse", "2.21", "2.21"),
     ]  # fmt: skip
     assert paper_rows([run("nnss", 0)]) == []
     assert paper_rows([run("nnss", 0, order=5, val=1.0, test=1.0)]) == []
@@ -121,7 +121,7 @@ def test_several_outputs_have_their_own_cells_and_a_mean(monkeypatch: pytest.Mon
     monkeypatch.setattr(evidence, "paper_table", lambda: table)
     rows = paper_rows([run("nnss", 0, val=[0.1, 0.1], test=[1.0, 3.0]), run("nnss", 1, val=[1, 1], test=[2.0, 1.0])])
     assert [(row["output"], row["ours, chosen as the paper does"]) for row in rows] == [
-        ("y1", "2"), ("y2", "1"), ("mean", "1.5"),
+        ("y [m]", "2"), ("z [K]", "1"), ("mean over outputs, units mixed", "1.5"),
     ]  # fmt: skip
 
 

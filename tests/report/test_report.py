@@ -88,6 +88,7 @@ SCALES = [two_outputs("nnss", 0, (0.1, 0.9), (0.1, 0.9)), two_outputs("n4sid", 0
 
 def test_several_outputs_are_averaged_before_the_seeds_and_ranked_by_sigma() -> None:
     table = summary(SCALES).set_index(["method", "output", "split"])["median"]
+    assert ("nnss", "mean", "test") in table
     assert table["nnss", "mean", "test"] == pytest.approx((48 + 0.009) / 2)
     assert table["nnss", "mean of RMSE/σ", "test"] == pytest.approx(0.5)
     assert table["n4sid", "mean of RMSE/σ", "test"] == pytest.approx(0.25)

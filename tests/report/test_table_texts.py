@@ -67,7 +67,7 @@ def test_a_page_of_one_run_has_no_part_without_lines() -> None:
     assert "Made of runs" not in plain
     row = next(line for line in plain.splitlines() if "| ssest" in line)
     assert [cell.strip() for cell in row.split("|")[1:-1]] == [
-        "2", "ssest", "y1", "1/1", "25", "25", "0.0", "25", "–", "–",
+        "2", "ssest", "y [m]", "1/1", "25", "25", "0.0", "25", "–", "–",
     ]  # fmt: skip
     alone = tables.rmse_markdown([run("nnss-ensemble", test=0.25)])
     assert "## Test" not in alone

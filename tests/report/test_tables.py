@@ -117,25 +117,55 @@ def test_the_terminals_table_cell_by_cell() -> None:
 
 
 def test_the_summary_over_seeds_cell_by_cell() -> None:
-    rows = tables.rows_of_split(summary(RUNS), "test", methods_of(RUNS))
+    rows = tables.rows_of_split(summary(RUNS), "test", methods_of(RUNS), tables.outputs_of(RUNS))
     assert rows[0] == {
-        "order": "2", "method": "nnss", "output": "y1", "runs": "2/3", "mean": "–", "median": "6",
+        "order": "2", "method": "nnss", "output": "level [m]", "runs": "2/3", "mean": "–", "median": "6",
         "fit [%]": "40.0", "best by validation": "6 (seed 1)", "spread (q1–q3)": "5–∞", "min–max": "4–∞",
     }  # fmt: skip
     assert rows[1] == {
-        "order": "2", "method": "n4sid", "output": "y1", "runs": "1/1", "mean": "5", "median": "5",
+        "order": "2", "method": "n4sid", "output": "level [m]", "runs": "1/1", "mean": "5", "median": "5",
         "fit [%]": "50.0", "best by validation": "5", "spread (q1–q3)": "–", "min–max": "–",
     }  # fmt: skip
     assert [row["order"] for row in rows] == ["2", "2", "3"]
-    assert tables.rows_of_split(summary([run()]), "test", ["nnss"]) == []
+    assert tables.rows_of_split(summary([run()]), "test", ["nnss"], {}) == []
     two = [run(seed=seed, channels=TWO, val=[0.1, 0.1], test=[0.1 * (seed + 1), 0.3]) for seed in range(3)]
-    cells = {row["output"]: row for row in tables.rows_of_split(summary(two), "test", ["nnss"])}
-    assert (cells["y1"]["median"], cells["y2"]["median"]) == ("2", "6")
-    assert (cells["mean"]["median"], cells["mean of RMSE/σ"]["median"]) == ("4", "0.25")
-    assert (cells["y1"]["mean"], cells["y1"]["min–max"]) == ("2", "1–3")
-    assert {name: row["fit [%]"] for name, row in cells.items()} == {
-        "y1": "80.0", "y2": "70.0", "mean": "75.0", "mean of RMSE/σ": "75.0",
-    }  # fmt: skip
+    found = tables.rows_of_split(summary(two), "test", ["nnss"], tables.outputs_of(two))
+    assert [(row["output"], row["median"], row["fit [%]"]) for row in found] == [
+        ("level [m]", "2", "80.0"), ("flow", "6", "70.0"), ("mean of RMSE/σ", "0.25", "75.0"),
+    ]  # fmt: skip
+    assert (found[0]["mean"], found[0]["min–max"]) == ("2", "1–3")
+
+
+@pytest.mark.parametrize(
+    ("units", "dataset", "protocol", "name"),
+    [
+        (["m", "m"], "tank", "own", "mean over outputs [m]"), (["m", "K"], "tank", "own", ""),
+        (["–", "–"], "tank", "own", ""), (["m", "K"], "daisy-powerplant", "strict", ""),
+        (["m", "K"], "daisy-powerplant", "paper", "mean over outputs, units mixed"),
+        (["m"], "daisy-powerplant", "paper", ""),
+    ],
+)  # fmt: skip
+def test_a_mean_in_physical_units_is_of_one_unit_or_compared_with_such(
+    units: list[str], dataset: str, protocol: str, name: str
+) -> None:
+    one = run(channels=TWO, val=[0.1, 0.3], test=[0.1, 0.3])
+    outputs = ["level", "flow"][: len(units)]
+    scores = tuple(score for score in one.scores if int(score.output[1:]) <= len(units))
+    spec = replace(one.spec, dataset=dataset, protocol=protocol)
+    one = replace(one, spec=spec, scores=scores, channels=TWO | {"outputs": outputs, "output_units": units})
+    assert aggregate.mean_name([one]) == name
+    text = tables.rmse_markdown([one])
+    body = text[text.index("## Test") :].splitlines()[4:]
+    own = [titled(*pair) for pair in zip(outputs, units, strict=True)]
+    means = [*filter(None, [name]), "mean of RMSE/σ"] if len(units) > 1 else []
+    assert [line.split("|")[3].strip() for line in body if line] == own + means
+    assert ("mixes units" in text) == name.endswith("units mixed")
+    assert (aggregate.MEAN in set(summary([one])["output"])) == bool(name)
+
+
+def test_a_pipe_in_a_name_is_none_of_the_table() -> None:
+    text = tables.rmse_markdown([run(channels=ONE | {"outputs": ["a|b"]}, test=0.1)])
+    assert "| a\\|b [m] |" in text
 
 
 def test_errors_of_a_run_in_each_of_the_ways_that_choices_are_made_by() -> None:
@@ -285,7 +315,7 @@ def test_a_long_records_zoom_is_a_twelfth_of_it_and_sixty_samples_at_least() -> 
 @pytest.mark.parametrize(
     ("runs", "title", "panels"),
     [
-        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation RMSE of level over 1\nseed",
+        ([run(train=0.1, val=0.2)], "tank (protocol strict): validation\nRMSE of level over 1 seed",
          [("", "RMSE [m]")]),
         ([run(seed=s, val=0.2, test=0.3) for s in range(2)], "tank (protocol strict): test RMSE of level over 2 seeds",
          [("", "RMSE [m]")]),

@@ -26,7 +26,7 @@ from nnss_cli.report.html.record import COLUMNS, LARGEST, section_of
 from nnss_cli.report.standing import MEANING, missing_runs, no_ranking, pair_rows, record_table, unscored
 from nnss_cli.report.statistics import LEVEL, MIN_RECORDS, mean_ranks, paired_tests
 from nnss_cli.report.studies import CHANGES
-from nnss_cli.report.tables import number
+from nnss_cli.report.tables import FREE, number
 from nnss_cli.version import __version__
 
 NAME = "report.html"
@@ -89,7 +89,7 @@ def render(found: dict[Store, Table]) -> str:
             section_of(store, table, looks, f"s{index}")
             for index, (store, table) in enumerate(sorted(found.items(), key=lambda one: one[0].protocol))
         ],
-        runs=len(everything), failed=sum(result.status != "ok" for result in everything), largest=LARGEST,
+        runs=len(everything), failed=sum(result.status != "ok" for result in everything), largest=LARGEST, free=FREE,
         changes_note=CHANGES.replace("`", ""),
     )  # fmt: skip
 

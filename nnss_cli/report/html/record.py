@@ -35,7 +35,7 @@ from nnss_cli.report.html.trace import Trace
 from nnss_cli.report.published import place_tables, published_tables
 from nnss_cli.report.statistics import median_interval, quantile
 from nnss_cli.report.studies import changes, study_note
-from nnss_cli.report.tables import failures, number, output_names, remarks, study_rows, versions_apart
+from nnss_cli.report.tables import failures, number, outputs_of, remarks, study_rows, versions_apart
 
 LARGEST = 1e308
 """What ∞ sorts as: the script reads finite numbers."""
@@ -190,12 +190,6 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
         [*dict.fromkeys(note for r in results for note in r.notes), *versions_apart(results)], failures(results),
         remarks(results), [*made_of.left_out, *(line for own in found.values() for v in own for line in v.left_out)],
     )  # fmt: skip
-
-
-def outputs_of(results: Sequence[RunResult]) -> dict[str, str]:
-    """Name of an output in the scores, or of a mean over them → what it is called."""
-    found = output_names(next((r for r in results if r.status == "ok"), results[0]))
-    return found | ({MEAN: "mean over outputs", NORMALISED: NORMALISED} if len(found) > 1 else {})
 
 
 def _rows(results: Sequence[RunResult], looks: dict[str, Look]) -> list[Row]:
