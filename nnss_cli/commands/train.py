@@ -26,7 +26,7 @@ def command(
     changes: dict[str, Any] | None = None,
     own: dict[str, Any] | None = None,
 ) -> None:
-    """Train one model, keep it under results/ and print its errors. Exit code 1 when it has no result."""
+    """Train one model, keep it under results/ and print its errors and remarks. Exit code 1 when it has no result."""
     from nnss_cli.commands.data import ready
     from nnss_cli.commands.display import RunProgress, console, name_of, print_rows, tell_left_out
     from nnss_cli.commands.events import emit
@@ -67,5 +67,7 @@ def command(
         score_rows(result),
         f"{data.name}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
     )
+    for remark in result.remarks:
+        console.print(remark, soft_wrap=True, highlight=False, markup=False)
     console.print(SIGMA_AND_FIT, highlight=False)
     console.print(f"Model: {store.run_folder(result.spec)}", soft_wrap=True, highlight=False)

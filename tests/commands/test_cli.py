@@ -114,7 +114,10 @@ def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     assert outcome.code == 0, outcome.err
     assert "test" in outcome.out
     run = Path("results/twotank-sim/paper/runs/nnss-n2-s0/run.json")
-    before = run.stat().st_mtime_ns
+    before, remarks = run.stat().st_mtime_ns, json.loads(run.read_text())["remarks"]
+    assert remarks
+    assert all(remark in " ".join(outcome.out.split()) for remark in remarks)
+    assert nnss("train", "twotank-sim", "--order", "2", "--seed", "0", *QUICK, "--quiet").out == ""
     outcome = nnss("compare", "twotank-sim", "--orders", "2", "--seeds", "2", *QUICK, "--jobs", "1")
     assert outcome.code == 0, outcome.err
     wanted = {name: {0, 1} if METHODS[name].seeded else {0} for name in DEFAULT}
