@@ -22,6 +22,9 @@ from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
 from nnss_cli.validation.result import OutputCheck, Validation
 
+ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
+"""Where a legend is above its panel: at the right, since the factor of an axis (1e6) stands at the left."""
+
 
 def step_rows(steps: StepTable, channels: Channels) -> list[dict[str, str]]:
     """Errors by horizon and output: the model's own predictions, guarded ones, persistence; ∞ is the simulation."""
@@ -178,7 +181,7 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
         top.fill_between(found.time, low_limit, high_limit, label=found.limits.name, **band_look(look.colour))
     each = found.outputs[i]
     top.set_ylabel(textwrap.fill(titled(each.name, each.unit), 22))
-    top.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+    top.legend(ncols=3, **ABOVE)
     low.plot(
         found.time, found.measured[:, i] - found.simulated[:, i], color=look.colour, linewidth=0.7,
         label=f"simulation, r1 = {each.simulation_r1:.2f}",
@@ -188,7 +191,7 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
         label=f"one step ahead, r1 = {each.white.correlation[0]:.2f}",
     )  # fmt: skip
     low.set_ylabel("error" if each.unit == "–" else f"error [{each.unit}]")
-    low.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 0.98), borderaxespad=0)
+    low.legend(ncols=2, **ABOVE)
     low.set_xlabel("time [s]")
     for panel in (top, low):
         panel.margins(x=0.01)

@@ -70,6 +70,17 @@ def test_errors_ahead_are_tabled_by_output_and_horizon_and_end_with_the_simulati
     assert [{key: row[key] for key in rows[0]} for row in with_guard] == rows
 
 
+def test_the_factor_of_an_axis_is_clear_of_the_legend_above_it() -> None:
+    large = {name: getattr(FOUND, name) * 1e9 for name in ("measured", "simulated", "one_ahead")}
+    figure = report.draw_validation(replace(FOUND, **large))
+    figure.canvas.draw()
+    for panel in figure.axes[1:3]:
+        factor, legend = panel.yaxis.get_offset_text(), panel.get_legend()
+        assert factor.get_text().startswith("1e")
+        assert not factor.get_window_extent().overlaps(legend.get_window_extent())
+    close_figure(figure)
+
+
 def test_a_guard_says_how_much_persistence_had() -> None:
     weight = np.array([[0.0, 0.2], [0.5, 0.6]])
     assert report.guard_lines(weight, FOUND.channels) == [
