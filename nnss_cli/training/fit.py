@@ -173,9 +173,8 @@ def train_nnss(
             unfinished.append(f"stage of {sum(map(len, records))} samples")
     weights, outputs = taken.model.architecture.weights, sum(record.y.size for record in train)
     if weights > outputs and taken.recipe.optimiser == "gauss-newton":
-        remarks += (
-            f"{weights} weights for {outputs} measured outputs: take a lower order or --hidden, or more samples",
-        )
+        lower = "a lower order or" if order > 1 else "a lower"  # no order is below 1
+        remarks += (f"{weights} weights for {outputs} measured outputs: take {lower} --hidden, or more samples",)
     if unfinished or clock.up:
         left = f", without {', '.join(unfinished)}" if unfinished else ""
         remarks += (f"stopped by the budget of {recipe.budget:g} s{left}",)

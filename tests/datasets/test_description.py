@@ -217,6 +217,26 @@ def test_a_clock_set_to_winter_time_is_neither_resampled_nor_interpolated(tmp_pa
             load_experiments(described(tmp_path, time="t", Ts=None, **preparation))
 
 
+@pytest.mark.parametrize(("keys", "reach"), [
+    ({"missing": "interpolate"}, 2), ({"resample": 0.3}, 1), ({"resample": 1.0}, 19),
+])  # fmt: skip
+def test_what_is_prepared_before_the_split_reaches_over_a_cut_as_far_as_is_documented(
+    keys: dict[str, object], reach: int, tmp_path: Path
+) -> None:
+    """A gap of two samples ends at the cut."""
+    frame = signals()
+    frame.loc[[58, 59], "y"] = np.nan if "missing" in keys else 0.0
+    changed = frame.copy()
+    changed.loc[60:, "y"] += 100.0
+    trained = []
+    for each in (frame, changed):
+        each.to_csv(tmp_path / "a.csv", index=False)
+        trained.append(load_experiments(described(tmp_path, time="t", Ts=None, **keys)).train[0].y[:, 0])
+    differ = np.flatnonzero(np.abs(trained[1] - trained[0]) > 1e-9)
+    assert len(differ) > 0
+    assert differ[0] >= len(trained[0]) - reach
+
+
 def test_one_file_is_cut_in_time_order(tmp_path: Path) -> None:
     frame = signals()
     frame.to_csv(tmp_path / "a.csv", index=False)

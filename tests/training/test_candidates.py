@@ -394,15 +394,16 @@ def test_a_cold_model_is_tried_where_weights_outnumber_outputs(small_data: Calla
     assert settings(data, 2, {"hidden": (4,), "initial": "auto"})["initial"] == "auto"
 
 
-def test_more_weights_than_measured_outputs_are_told(small_data: Callable) -> None:
-    few = small_data(K=150).fitting
+@pytest.mark.parametrize(("order", "advice"), [(1, "a lower --hidden"), (2, "a lower order or --hidden")])
+def test_more_weights_than_measured_outputs_are_told(order: int, advice: str, small_data: Callable) -> None:
+    few = small_data(K=120).fitting
     recipe = RECIPE.replace(feedthrough="no", epochs=2, hidden=(8,))
-    weights = recipe.architecture(2, 1, 1).weights
-    assert f"{weights} weights for 50 measured outputs: take a lower order or --hidden, or more samples" in (
-        train_nnss(few, 2, 0, recipe).remarks
+    weights, outputs = recipe.architecture(order, 1, 1).weights, sum(record.y.size for record in few.train)
+    assert f"{weights} weights for {outputs} measured outputs: take {advice}, or more samples" in (
+        train_nnss(few, order, 0, recipe).remarks
     )
     enough = fitting(small_data(), without_feedthrough, K=weights)
-    assert not any("weights" in remark for remark in train_nnss(enough, 2, 0, recipe).remarks)
+    assert not any("weights" in remark for remark in train_nnss(enough, order, 0, recipe).remarks)
 
 
 def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
