@@ -109,8 +109,8 @@ def examine(
     copies = find_copies([names[i] for i in alive], np.concatenate(whole)) if whole else ()
     del whole
     q = len(live_inputs)
-    parts = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra, coherence and delays", used)
-    parts = _standardised(parts)
+    seen = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra, coherence and delays", used)
+    parts = _standardised(seen)
     spectra, power = welch(parts, q), welch(parts, q, flatten=False)
     # the scaled columns are centred; persistency counts a constant, so it takes the raw ones
     raw = [_stretches([data[:, [i]] for data in experiments]) for i in range(r)]
@@ -119,6 +119,7 @@ def examine(
         found = None if power is None or i not in live_inputs else live_inputs.index(i)
         excitation.append(_excitation(names[i], persistency(raw[i]), power, found, clock.Ts))
     joint = persistency([part[:, :q] for part in complete]) if q > 1 and complete else None
+    order = _order(scaled, split, q, len(live_outputs), detrend == "constant", used, seen)
     delays, linearity = [], []
     for output, i in enumerate(live_outputs):
         pairs = responses(parts, q, output) if parts else []
@@ -129,13 +130,15 @@ def examine(
         lags = [1 if response.delay is None else response.delay for response in pairs]
         gain = products(parts, q, output, lags) if pairs or not q else None
         coherence, unexplained = multiple_coherence(spectra, q, output) if spectra else (np.empty(0), None)
+        left = order.left[output] if order.left else None
+        fitted = unexplained is not None and left is not None and left < unexplained
         linearity.append(
             Linearity(
-                names[i], unexplained, () if unexplained is None else tuple(map(float, coherence[1:])),
-                None if gain is None else gain.gain, None if gain is None else gain.p_value,
+                names[i], left if fitted else unexplained,
+                () if unexplained is None else tuple(map(float, coherence[1:])),
+                None if gain is None else gain.gain, None if gain is None else gain.p_value, fitted,
             )
         )  # fmt: skip
-    order = _order(scaled, split, q, len(live_outputs), detrend == "constant", used)
     shortest = min((part.stop - part.start for part in (*split.train, *split.val, *split.test)), default=1)
     longest_delay = max((delay.samples or 0 for delay in delays), default=0)
     n = order.suggested
@@ -271,16 +274,20 @@ def _excitation(name: str, order: Persistency, spectra: Any, channel: int | None
 
 
 def _order(
-    scaled: Sequence[FloatArray], split: Split, r: int, m: int, about_means: bool, used: list[str]
-) -> OrderGuess:
-    """The order guess on the split's training and validation parts; test is not looked at."""
+    scaled: Sequence[FloatArray], split: Split, r: int, m: int, about_means: bool, used: list[str],
+    whole: Sequence[FloatArray],
+) -> OrderGuess:  # fmt: skip
+    """The order guess on the split's training and validation parts, and what its models leave of `whole`.
+
+    Test is not looked at for the guess.
+    """
     if r == 0 or m == 0:
         return OrderGuess(None, (), 0, 0, None)
     train, val = (
         [stretch for part in parts for stretch in _complete(scaled[part.experiment][part.start : part.stop])]
         for parts in (split.train, split.val)
     )
-    guess = guess_order(train, val, r, about_means)
+    guess = guess_order(train, val, r, about_means, whole)
     rows = sum(part.stop - part.start for part in (*split.train, *split.val))
     if guess.suggested is not None and guess.train_samples + guess.val_samples < rows:
         used.append(

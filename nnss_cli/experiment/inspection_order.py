@@ -51,10 +51,16 @@ class OrderGuess:
     """Samples that judged."""
     constant: float | None
     """Validation error of a constant, the training mean, in the same units; None where nothing judged."""
+    left: tuple[float | None, ...] = ()
+    """Share of each output's power that the best of these models leaves of `whole`; None where none simulates it."""
 
 
 def guess_order(
-    train: Sequence[FloatArray], val: Sequence[FloatArray], inputs: int, about_means: bool = False
+    train: Sequence[FloatArray],
+    val: Sequence[FloatArray],
+    inputs: int,
+    about_means: bool = False,
+    whole: Sequence[FloatArray] = (),
 ) -> OrderGuess:
     """A first guess of the linear order, in bounded time: N4SID with four horizons an order, orders 1 … 6.
 
@@ -65,6 +71,7 @@ def guess_order(
         val: later stretches, to judge on.
         inputs: number of inputs r, at least 1.
         about_means: models are about the means of the outputs, in the place of the outputs at rest.
+        whole: stretches on which to say what the models leave; the guess does not look at them.
     """
     fit, judge = (
         tuple(Record(part[:, :inputs], part[:, inputs:], 1.0) for part in excerpt(parts, limit, inputs))
@@ -77,19 +84,41 @@ def guess_order(
     fit, judge = tuple(map(scaling.apply, fit)), tuple(map(scaling.apply, judge))
     r, m = fit[0].input_count, fit[0].output_count
     sigma = _hankel(fit, r + m, m)
-    found = []
+    found, kept = [], []
     for order in range(1, LARGEST + 1):
         models = [model for model in (_n4sid(fit, order, h) for h in _horizons(order, r, m)) if model is not None]
         errors = [simulation_rms(model, judge) for model in models]
         if errors and math.isfinite(min(errors)):
             hankel = float(sigma[order - 1] / sigma[0]) if len(sigma) >= order and sigma[0] > 0 else None
-            train_error = simulation_rms(models[int(np.argmin(errors))], fit)
-            found.append(OrderCandidate(order, hankel, train_error, min(errors)))
+            kept.append(models[int(np.argmin(errors))])
+            found.append(OrderCandidate(order, hankel, simulation_rms(kept[-1], fit), min(errors)))
     lowest = min((candidate.val for candidate in found), default=0.0)
     good = [candidate.order for candidate in found if candidate.val <= MARGIN * lowest]
     mean = np.concatenate([record.y for record in fit]).mean(axis=0)
     constant = float(np.sqrt(np.mean((np.concatenate([record.y for record in judge]) - mean) ** 2)))
-    return OrderGuess(good[0] if good else None, tuple(found), *counts, constant)
+    judged = [scaling.apply(Record(part[:, :inputs], part[:, inputs:], 1.0)) for part in whole]
+    return OrderGuess(good[0] if good else None, tuple(found), *counts, constant, _left(kept, judged))
+
+
+def _left(models: Sequence[LinearStateSpace], records: Sequence[Record]) -> tuple[float | None, ...]:
+    """Share of each output's power that the best model leaves in free simulation, means apart; () without records.
+
+    A start is fitted to each record, and takes n degrees of freedom from all outputs: counted, since of many short
+    stretches starts alone would explain noise.
+    """
+    if not models or not records:
+        return ()
+    samples = sum(map(len, records))
+    power = np.concatenate([record.y for record in records]).var(axis=0)
+    best = np.full(len(power), np.inf)
+    for model in models:
+        freedom = samples - model.order * len(records)
+        with np.errstate(all="ignore"):  # of an unstable model
+            error = [record.y - model.simulate(record.u, model.initial_state(record))[0] for record in records]
+            share = np.concatenate(error).var(axis=0) / power * samples / freedom
+        if freedom > 0:
+            best = np.fmin(best, share)
+    return tuple(float(share) if math.isfinite(share) else None for share in best)
 
 
 def _horizons(order: int, r: int, m: int) -> tuple[Horizon, ...]:

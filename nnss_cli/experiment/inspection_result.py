@@ -67,14 +67,22 @@ class Linearity:
     output: str
     """Name."""
     unexplained: float | None
-    """Share of the power that the inputs do not explain linearly, by multiple coherence: noise or nonlinearity,
-    unmeasured inputs, or memory longer than a segment. None for a short record."""
+    """Share of the power that the inputs do not explain linearly, an estimate from above: by multiple coherence, for
+    which memory longer than a segment is unexplained, or what a linear model leaves of these samples, where that is
+    less. None for a short record."""
     coherence: tuple[float, ...]
     """Multiple coherence by frequency; empty for a short record or one without inputs."""
     gain: float | None
     """Share of a linear model's one-step residual that squares, cubes and products foretell; None if too short."""
     p_value: float | None
     """Of the F test that they foretell nothing; small only for a nonlinearity."""
+    fitted: bool = False
+    """Whether `unexplained` is what the best of the order guess's models leaves, which is less than by coherence."""
+
+    @property
+    def source(self) -> str:
+        """What `unexplained` rests on, in a word or two."""
+        return "a fitted model" if self.fitted else "coherence"
 
 
 @dataclass(frozen=True)
@@ -282,9 +290,12 @@ def _ties(found: Inspection) -> Iterator[str]:
         yield f"A delay of {LAGS} samples is the longest looked for: the real one may be longer."
     for each in found.linearity:
         if each.unexplained is not None and each.unexplained > MUCH:
+            segment = "" if found.spectrum is None else f" over segments of {found.spectrum.segment} samples"
+            how = "the best linear model fitted here" if each.fitted else f"coherence{segment}"
             yield (
-                f"The inputs leave {100 * each.unexplained:.0f} % of the power of '{each.output}' unexplained by any "
-                "linear model: noise, nonlinearity, unmeasured inputs or a long memory; coherence cannot tell which."
+                f"Linear relations to the inputs leave about {percent(each.unexplained)} of the power of "
+                f"'{each.output}' unexplained, an upper figure by {how}: noise, nonlinearity, unmeasured inputs or a "
+                "long memory; it cannot tell which."
             )
         if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
             size = "< 1e-16" if each.p_value < 1e-16 else f"= {each.p_value:.1g}"

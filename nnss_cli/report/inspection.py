@@ -97,6 +97,7 @@ def output_rows(found: Inspection) -> list[dict[str, str]]:
     return [
         {
             "output": each.output, "linearly unexplained": percent(each.unexplained, 2),
+            "by": "–" if each.unexplained is None else each.source,
             "of one-step residual, by products": percent(each.gain, 2), "p (linear)": number(each.p_value, 2),
         }
         for each in found.linearity
@@ -219,7 +220,7 @@ def _draw_frequency(block: Any, found: Inspection, looks: dict[str, Any]) -> Non
     left.set_ylabel(f"power density [σ²/{unit}]" if unit == "Hz" else "power density [σ² samples]")
     for each in found.linearity:
         if each.coherence and each.output in looks:
-            label = f"{_legend(each.output)} (unexplained {percent(each.unexplained, 2)})"
+            label = f"{_legend(each.output)} (unexplained {percent(each.unexplained, 2)}, by {each.source})"
             colour, line = looks[each.output]
             right.plot(f, each.coherence, color=colour, linestyle=line, linewidth=1.1, label=label)
     right.set_ylim(-0.03, 1.03)

@@ -287,6 +287,38 @@ def test_a_static_nonlinearity_raises_the_unexplained_share() -> None:
     assert share(0.4) > share(0.0) + 0.1
 
 
+def slow(name: str) -> tuple[FloatArray, FloatArray]:
+    """Linear plants without noise whose memory outlasts the segments: a lag, a step response, an integrator."""
+    u = np.repeat(np.random.default_rng(3).uniform(-1, 1, 30), 20)
+    if name == "step":
+        u = np.r_[np.zeros(20), np.ones(280)]
+    pole, gain = {"lag": (0.98, 0.02), "step": (0.97, 1.2), "integrator": (1.0, 0.1)}[name]
+    return u, 20 + lfilter([0, gain], [1, -pole], u)
+
+
+@pytest.mark.parametrize(("name", "coherent"), [("lag", 0.03), ("step", 0.1), ("integrator", 0.03)])
+def test_no_more_is_unexplained_than_what_a_fitted_linear_model_leaves(name: str, coherent: float) -> None:
+    u, y = slow(name)
+    spectra = welch([standard(u, y)], 1)
+    assert spectra is not None
+    assert (multiple_coherence(spectra, 1, 0)[1] or 0.0) > coherent
+    found = examine({"u": u}, {"y": y})
+    assert found.linearity[0].fitted
+    assert found.linearity[0].unexplained == pytest.approx(0, abs=0.002)
+    assert not any("unexplained" in remark for remark in found.remarks)
+
+
+def test_what_is_unexplained_is_told_by_output() -> None:
+    """A linear model leaves nothing of the one output, and all of the other."""
+    u, y = slow("lag")
+    found = examine({"u": u}, {"y": y, "z": np.random.default_rng(0).standard_normal(600)})
+    first, second = found.linearity
+    assert (first.unexplained or 0.0) < 0.001
+    assert (second.unexplained or 0.0) > 0.8
+    bent = examine(*({name: x} for name, x in zip("uy", plant(3000, bend=0.4), strict=True))).linearity[0]
+    assert not bent.fitted  # coherence explains as much
+
+
 def test_spectrum_of_noise_integrates_to_its_variance() -> None:
     x = standard(lfilter([1.0], RESONANT, np.random.default_rng(0).standard_normal(20_000)))
     spectra = welch([x], 1)
@@ -402,7 +434,7 @@ def test_several_experiments_are_split_whole() -> None:
         ({"u": np.sin(0.3 * np.arange(900))}, "The input 'u' is persistently exciting of order 2 only"),
         ({"y": np.full(900, np.nan)}, "The output 'y' holds no number."),
         ({"y": np.random.default_rng(5).standard_normal(900)}, "No response of 'y' to 'u' within"),
-        ({"y": np.random.default_rng(5).standard_normal(900)}, "of the power of 'y' unexplained by any linear model"),
+        ({"y": np.random.default_rng(5).standard_normal(900)}, "of the power of 'y' unexplained, an upper figure"),
         ({"y": np.linspace(0, 1, 900)}, "A straight line over the record holds 100 % of the variance"),
         ({"y": np.clip(plant(900)[1], -1.0, None)}, "of the output 'y' is exactly its minimum -1"),
         ({"y": plant(900)[1] + np.where(np.arange(900) == 5, 40, 0)}, "1 single-sample spike, the first at sample 6."),

@@ -439,6 +439,20 @@ def test_guess_order_says_what_it_fitted_on_and_what_a_constant_would_do() -> No
     assert (nothing.train_samples, nothing.val_samples) == (0, 200)
 
 
+def test_what_models_leave_is_of_the_samples_asked_for_and_counts_the_starts() -> None:
+    u, e = noise(2, 3000)
+    y = lfilter([0, 1.0], [1, -0.8], u)
+    data = np.stack([u, y + 0.5 * y.std() * e, e], axis=1)
+    parts = [data[:1500]], [data[1500:2000]], 1, False
+    first, second = guess_order(*parts, [data[2000:]]).left
+    assert first == pytest.approx(0.2, abs=0.03)  # 0.5²/(1 + 0.5²)
+    assert second == pytest.approx(1, abs=0.05)
+    short = [data[at : at + 20] for at in range(2000, 3000, 20)]
+    assert guess_order(*parts, short).left == pytest.approx((first, second), abs=0.06)
+    assert guess_order(*parts).left == ()
+    assert guess_order(*parts, [data[2000:2001]]).left == (None, None)  # its start alone explains one sample
+
+
 # the split
 
 

@@ -37,6 +37,7 @@ FOUND = Inspection(
     (), (), (Envelope("valve", (0.0, 1.0, 2.0), (1.0, 2.0, None), (1.0, 2.0, None)),
              Envelope("level", (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))),
 )  # fmt: skip
+FITTED, UNKNOWN = replace(FOUND.linearity[0], fitted=True), replace(FOUND.linearity[0], unexplained=None)
 NOTHING = replace(FOUND.excitation[0], band=None, near_nyquist=None, persistency=Persistency(3, 50, 1e-9, 9))
 UNTIMED = Clock(None, "unknown", None, None, 0, 0, 0, None, None, 0)
 
@@ -75,9 +76,11 @@ def test_responses_outputs_and_orders_are_tabled() -> None:
     rows = report.response_rows(replace(FOUND, delays=tuple(said)))
     assert [row["delay [samples]"] for row in rows] == ["input too smooth", "none found"]
     assert report.output_rows(FOUND) == [
-        {"output": "level", "linearly unexplained": "5.7 %", "of one-step residual, by products": "1.2 %",
-         "p (linear)": "0.0012"}
+        {"output": "level", "linearly unexplained": "5.7 %", "by": "coherence",
+         "of one-step residual, by products": "1.2 %", "p (linear)": "0.0012"}
     ]  # fmt: skip
+    by = [report.output_rows(replace(FOUND, linearity=(each,)))[0]["by"] for each in (FITTED, UNKNOWN)]
+    assert by == ["a fitted model", "–"]
     assert report.order_rows(FOUND) == [
         {"order": "1", "Hankel σn/σ1": "1.00e+00", "train [σ]": "0.4321", "validation [σ]": "0.9876"},
         {"order": "2 ←", "Hankel σn/σ1": "1.23e-02", "train [σ]": "0.1235", "validation [σ]": "0.2346"},
@@ -160,7 +163,7 @@ def test_spectra_and_coherence_are_drawn_over_logarithmic_frequency(drawn: Any) 
     low, high = right.get_ylim()
     assert -0.1 < low < 0 < 1 < high < 1.1
     assert [text.get_text() for text in left.get_legend().get_texts()] == [" valve", " level"]
-    assert [text.get_text() for text in right.get_legend().get_texts()] == [" level (unexplained 5.7 %)"]
+    assert [text.get_text() for text in right.get_legend().get_texts()] == [" level (unexplained 5.7 %, by coherence)"]
     assert (left.get_ylabel(), right.get_ylabel()) == ("power density [σ²/Hz]", "multiple coherence [–]")
     valve, level = left.lines
     assert valve.get_color() != level.get_color()
