@@ -40,6 +40,7 @@ from nnss_cli.experiment.inspection_signals import (
     finite,
     persistency,
     runs,
+    with_trend,
 )
 from nnss_cli.experiment.inspection_split import Part, Split, checked, recommend_split
 
@@ -100,6 +101,8 @@ def examine(
         experiments = _without_drift(experiments, split.train)
         channels = columns()
     split = checked(split, experiments, channels)
+    timed = _over_time(experiments, split.train)
+    channels = tuple(with_trend(c, [(t, data[:, i]) for t, data in timed]) for i, c in enumerate(channels))
     alive = [i for i, c in enumerate(channels) if c.kind not in ("empty", "constant") and 2 * c.missing <= c.samples]
     live_inputs, live_outputs = [i for i in alive if i < r], [i for i in alive if i >= r]
     scaled = _scaled(experiments, alive)
@@ -203,14 +206,18 @@ def _column(name: str, values: Any) -> FloatArray:
     return column
 
 
+def _over_time(experiments: Sequence[FloatArray], parts: Sequence[Part]) -> list[tuple[FloatArray, FloatArray]]:
+    """Samples since the start of the experiment, and the columns, of each part."""
+    return [(np.arange(p.start, p.stop, dtype=np.float64), experiments[p.experiment][p.start : p.stop]) for p in parts]
+
+
 def _without_drift(experiments: Sequence[FloatArray], train: Sequence[Part]) -> list[FloatArray]:
     """The records (K, c) without the drift of their training parts, a line in the samples of each experiment."""
-    t = [np.arange(len(data), dtype=np.float64) for data in experiments]
-    parts = [(t[p.experiment][p.start : p.stop], experiments[p.experiment][p.start : p.stop]) for p in train]
+    parts = _over_time(experiments, train)
     if sum(len(instants) for instants, _ in parts) < 2:
         return list(experiments)
     drift = fit_drift(parts)
-    return [data - drift.at(instants) for instants, data in zip(t, experiments, strict=True)]
+    return [data - drift.at(np.arange(len(data), dtype=np.float64)) for data in experiments]
 
 
 def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int]) -> list[FloatArray]:

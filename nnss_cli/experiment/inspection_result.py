@@ -240,8 +240,8 @@ def _channel(c: Channel, at: _Place) -> Iterator[str]:
         yield f"The {name} has {_number_of(c.spikes, 'single-sample spike')}, the first at {first}."
     if c.trend is not None and c.trend_share is not None and c.trend_share > DRIFTS and c.role == "output":
         yield (
-            f"A straight line over the record holds {100 * c.trend_share:.0f} % of the variance of the {name} "
-            f"({c.trend:+.1f} σ from start to end): drift, or a slow response."
+            f"A straight line over the training part holds {100 * c.trend_share:.0f} % of the variance of the {name} "
+            f"there ({c.trend:+.1f} σ from start to end): drift, or a slow response."
         )
 
 

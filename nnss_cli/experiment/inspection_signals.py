@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from nnss_cli.datasets.preparation import usual_step
+from nnss_cli.datasets.preparation import fit_drift, usual_step
 from nnss_cli.datasets.record import FloatArray
 
 Role: TypeAlias = Literal["input", "output"]
@@ -112,9 +112,10 @@ class Channel:
     first_spike_experiment: int | None
     """Experiment (0-based) of the first of them."""
     trend: float | None
-    """What a straight line, fitted over the whole record, changes from its start to its end, in σ."""
+    """What a straight line, fitted to the training part as `detrend = "linear"` does (in the time since each
+    experiment's start), changes over the longest of it, in σ of that part."""
     trend_share: float | None
-    """Share of the variance on that line. A description, no test: a slow signal without drift has one too."""
+    """Share of that part's variance on the line. A description, no test: a slow signal without drift has one too."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,6 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
     spikes = _spikes(d) if levels > FEW else None
     starts = np.cumsum([0, *(len(part) + 1 for part in parts)])  # of the experiments in x
     at = int(np.searchsorted(starts, spikes[0], side="right")) - 1 if spikes is not None and len(spikes) else None
-    trend, trend_share = _trend(x)
     return _replace(
         empty,
         common
@@ -219,7 +219,6 @@ def examine_channel(name: str, role: Role, unit: str, parts: Sequence[FloatArray
             "spikes": None if spikes is None else len(spikes),
             "first_spike": None if spikes is None or at is None else int(spikes[0] - starts[at]),
             "first_spike_experiment": at,
-            "trend": trend, "trend_share": trend_share,
         },
     )  # fmt: skip
 
@@ -269,18 +268,19 @@ def _spikes(d: FloatArray) -> NDArray[np.intp] | None:
     return np.flatnonzero(both & (z[:-1] * z[1:] < 0)) + 1
 
 
-def _trend(x: FloatArray) -> tuple[float | None, float | None]:
-    """Change of the fitted straight line in σ, and its share of the variance; `x` (K,) may have gaps."""
-    k = np.flatnonzero(np.isfinite(x))
-    if len(k) < 3:
-        return None, None
-    t = (k - k.mean()) / len(x)
-    v = x[k] - x[k].mean()
-    spread = float(v @ v)
+def with_trend(channel: Channel, parts: Sequence[tuple[FloatArray, FloatArray]]) -> Channel:
+    """The channel with the line of its training parts, each (t, values), (K,) both; values may have gaps."""
+    known = [(t[ok], values[ok]) for t, values in parts for ok in [np.isfinite(values)] if ok.any()]
+    t, x = (np.concatenate([pair[i] for pair in known]) if known else np.empty(0) for i in (0, 1))
+    largest = float(np.abs(x).max(initial=0))  # squares of huge numbers leave the range of numbers
+    if len(x) < 3 or largest == 0 or np.ptp(t) == 0:
+        return channel
+    slope = float(fit_drift([(t, values[:, None] / largest) for t, values in known]).slope[0])
+    spread = float(np.var(x / largest))
     if not spread > 0:
-        return None, None
-    slope = float(t @ v) / float(t @ t)
-    return finite(slope / math.sqrt(spread / (len(v) - 1))), min(1.0, slope**2 * float(t @ t) / spread)
+        return channel
+    change = slope * float(np.ptp(t)) / math.sqrt(spread * len(x) / (len(x) - 1))
+    return replace(channel, trend=finite(change), trend_share=min(1.0, slope**2 * float(np.var(t)) / spread))
 
 
 def find_copies(names: Sequence[str], columns: FloatArray) -> tuple[Copy, ...]:

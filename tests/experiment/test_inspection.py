@@ -18,7 +18,13 @@ from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_dynamics import multiple_coherence, products, responses, welch
 from nnss_cli.experiment.inspection_order import guess_order
 from nnss_cli.experiment.inspection_result import Inspection
-from nnss_cli.experiment.inspection_signals import Channel, examine_channel, examine_clock, persistency
+from nnss_cli.experiment.inspection_signals import (
+    Channel,
+    examine_channel,
+    examine_clock,
+    persistency,
+    with_trend,
+)
 
 RESONANT = [1, -1.5, 0.7]
 
@@ -149,12 +155,39 @@ def test_missing_samples_are_counted_with_their_longest_gap() -> None:
     assert (found.missing, found.longest_gap, found.maximum) == (5, 3, 99.0)
 
 
+def trend(x: FloatArray) -> tuple[float | None, float | None]:
+    found = with_trend(channel(x), [(np.arange(float(len(x))), x)])
+    return found.trend, found.trend_share
+
+
 def test_trend_is_the_change_of_the_line_in_sigma() -> None:
     t = np.linspace(0, 1, 1001)
-    found = channel(5 * t)
-    assert found.trend == pytest.approx(math.sqrt(12), rel=0.01)  # of a uniform distribution
-    assert found.trend_share == pytest.approx(1.0)
-    assert channel(np.sin(2 * np.pi * 50 * t)).trend_share == pytest.approx(0, abs=0.01)
+    for scale in (5.0, 1e-150, 1e250):
+        change, share = trend(scale * t)
+        assert change == pytest.approx(math.sqrt(12), rel=0.01)  # of a uniform distribution
+        assert share == pytest.approx(1.0)
+    assert trend(np.sin(2 * np.pi * 50 * t))[1] == pytest.approx(0, abs=0.01)
+    assert trend(t[:2]) == trend(np.ones(9)) == (None, None)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_the_line_is_in_the_time_since_each_experiments_start_and_of_training_alone(slope: float) -> None:
+    """Experiments at levels of their own have no drift together, nor do validation and test tell of one."""
+    random = np.random.default_rng(0)
+    line = slope * np.arange(300)
+    y = [level + line + random.standard_normal(300) for level in (0.0, 5.0, 10.0, 900.0)]
+    u = [{"u": random.standard_normal(300)} for _ in y]
+    found = examine(u, [{"y": each} for each in y])
+    _, output = found.channels
+    assert [part.experiment for part in found.split.train] == [0, 1]
+    between = np.concatenate(y[:2])
+    assert output.trend == pytest.approx(299 * slope / between.std(ddof=1), abs=0.2)
+    assert any("A straight line" in said for said in found.remarks) is (slope > 0)
+    without = examine(u, [{"y": each} for each in y], detrend="linear").channels[1]
+    assert without.trend == pytest.approx(0, abs=1e-9)  # it is the line that detrend takes off
+    late = np.r_[np.zeros(360), np.arange(240.0)] + 0.1 * random.standard_normal(600)  # rises after training alone
+    (_, output) = examine({"u": random.standard_normal(600)}, {"y": late}).channels
+    assert output.trend_share == pytest.approx(0, abs=0.02)
 
 
 def test_no_difference_crosses_from_one_experiment_to_the_next() -> None:
@@ -435,7 +468,7 @@ def test_several_experiments_are_split_whole() -> None:
         ({"y": np.full(900, np.nan)}, "The output 'y' holds no number."),
         ({"y": np.random.default_rng(5).standard_normal(900)}, "No response of 'y' to 'u' within"),
         ({"y": np.random.default_rng(5).standard_normal(900)}, "of the power of 'y' unexplained, an upper figure"),
-        ({"y": np.linspace(0, 1, 900)}, "A straight line over the record holds 100 % of the variance"),
+        ({"y": np.linspace(0, 1, 900)}, "A straight line over the training part holds 100 % of the variance"),
         ({"y": np.clip(plant(900)[1], -1.0, None)}, "of the output 'y' is exactly its minimum -1"),
         ({"y": plant(900)[1] + np.where(np.arange(900) == 5, 40, 0)}, "1 single-sample spike, the first at sample 6."),
         ({"y": np.round(plant(900)[1], 0)}, "The output 'y' is quantised in steps of 1 "),

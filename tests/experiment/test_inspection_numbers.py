@@ -22,7 +22,14 @@ from nnss_cli.experiment.inspection_dynamics import (
     welch,
 )
 from nnss_cli.experiment.inspection_order import HOW_GUESSED, _hankel, _horizons, guess_order
-from nnss_cli.experiment.inspection_signals import Channel, examine_channel, examine_clock, find_copies, persistency
+from nnss_cli.experiment.inspection_signals import (
+    Channel,
+    examine_channel,
+    examine_clock,
+    find_copies,
+    persistency,
+    with_trend,
+)
 from nnss_cli.experiment.inspection_split import Part, recommend_split
 
 
@@ -216,7 +223,7 @@ def test_an_excerpt_is_where_the_inputs_vary_most_in_time_order() -> None:
 
 def test_a_column_of_twelve_samples_counted_by_hand() -> None:
     x = np.array([0, 0, 0, 1, 2, 3, 3, 3, 3, np.nan, 1, 2])
-    found = examine_channel("level", "output", "m", [x])
+    found = with_trend(examine_channel("level", "output", "m", [x]), [(np.arange(12.0), x)])
     assert found == Channel(
         "level", "output", "m", 12, 1, 1, 0.0, 3.0, 18 / 11, found.sigma, 4, "few levels", 4,
         1.0, 1.0, 2.0, 3 / 11, 4 / 11, 0.0, None, None, None, found.trend, found.trend_share,
@@ -224,7 +231,7 @@ def test_a_column_of_twelve_samples_counted_by_hand() -> None:
     assert found.sigma == pytest.approx(np.nanstd(x, ddof=1))
     known = np.flatnonzero(np.isfinite(x))
     slope = np.polyfit(known, x[known], 1)[0]
-    assert found.trend == pytest.approx(12 * slope / found.sigma)
+    assert found.trend == pytest.approx(11 * slope / found.sigma)
     assert found.trend_share == pytest.approx(np.corrcoef(known, x[known])[0, 1] ** 2)
 
 

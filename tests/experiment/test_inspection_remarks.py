@@ -72,7 +72,7 @@ SIDES = [
     (Y, {"spikes": 1, "samples": 90, "first_spike": 4}, {"spikes": 2, "samples": 90, "first_spike": 4},
      "1 single-sample spike, the first"),
     (Y, {"trend": -1.26, "trend_share": 0.2501}, {"trend": -1.26, "trend_share": 0.25},
-     "holds 25 % of the variance of the output 'y' (-1.3 σ from start to end): drift, or a slow response."),
+     "holds 25 % of the variance of the output 'y' there (-1.3 σ from start to end): drift, or a slow response."),
     (Y, {"trend": 3.0, "trend_share": 0.9}, {"trend": 3.0, "trend_share": 0.9, "role": "input"},
      "A straight line over the"),
     (U, {"switches": 9}, {"switches": 10}, "The input 'u' changes only 9 times."),
