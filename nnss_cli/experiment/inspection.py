@@ -46,7 +46,7 @@ from nnss_cli.experiment.inspection_split import Part, Split, checked, recommend
 
 Columns: TypeAlias = Mapping[str, FloatArray]
 
-DYNAMICS_SAMPLES = 131_072  # samples from which spectra, coherence and delays are taken
+DYNAMICS_SAMPLES = 131_072  # samples, at most, from which spectra, coherence and delays are taken
 BINS = 500  # points of a curve over time
 WINDOW = 50  # largest recommended initialisation window
 
@@ -103,17 +103,20 @@ def examine(
     split = checked(split, experiments, channels)
     timed = _over_time(experiments, split.train)
     channels = tuple(with_trend(c, [(t, data[:, i]) for t, data in timed]) for i, c in enumerate(channels))
-    alive = [i for i, c in enumerate(channels) if c.kind not in ("empty", "constant") and 2 * c.missing <= c.samples]
+    chosen = _chosen_on(split)
+    alive = [i for i in range(len(names)) if _varies([values[:, i] for values in _within(experiments, chosen)])]
     live_inputs, live_outputs = [i for i in alive if i < r], [i for i in alive if i >= r]
-    scaled = _scaled(experiments, alive)
+    scaled = _scaled(experiments, alive, chosen)
     complete = _stretches(scaled)
     used = _missing_note(complete, experiments)
     whole = _stretches([data[:, alive] for data in experiments])
     copies = find_copies([names[i] for i in alive], np.concatenate(whole)) if whole else ()
     del whole
     q = len(live_inputs)
-    seen = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra, coherence and delays", used)
+    seen = _noted(excerpt(complete, DYNAMICS_SAMPLES, q), complete, "spectra and coherence", used)
     parts = _standardised(seen)
+    untested = _stretches(_within(scaled, chosen))  # the window that is recommended rests on the delays
+    untested = _standardised(_noted(excerpt(untested, DYNAMICS_SAMPLES, q), untested, "delays", used))
     spectra, power = welch(parts, q), welch(parts, q, flatten=False)
     # the scaled columns are centred; persistency counts a constant, so it takes the raw ones
     raw = [_stretches([data[:, [i]] for data in experiments]) for i in range(r)]
@@ -125,7 +128,7 @@ def examine(
     order = _order(scaled, split, q, len(live_outputs), detrend == "constant", used, seen)
     delays, linearity = [], []
     for output, i in enumerate(live_outputs):
-        pairs = responses(parts, q, output) if parts else []
+        pairs = responses(untested, q, output) if untested else []
         for response, j in zip(pairs, live_inputs, strict=False):
             seconds = None if response.delay is None or clock.Ts is None else response.delay * clock.Ts
             curve = tuple(map(float, response.correlation))
@@ -220,18 +223,42 @@ def _without_drift(experiments: Sequence[FloatArray], train: Sequence[Part]) -> 
     return [data - drift.at(np.arange(len(data), dtype=np.float64)) for data in experiments]
 
 
-def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int]) -> list[FloatArray]:
-    """The columns that vary, centred and over their σ in all experiments."""
+def _chosen_on(split: Split) -> list[Part]:
+    """The training and validation parts, those that touch as one: all that a recommendation may rest on."""
+    joined: list[Part] = []
+    for part in sorted((*split.train, *split.val), key=lambda part: (part.experiment, part.start)):
+        if joined and (joined[-1].experiment, joined[-1].stop) == (part.experiment, part.start):
+            joined[-1] = dataclasses.replace(joined[-1], stop=part.stop)
+        else:
+            joined.append(part)
+    return joined
+
+
+def _within(experiments: Sequence[FloatArray], parts: Sequence[Part]) -> list[FloatArray]:
+    return [experiments[part.experiment][part.start : part.stop] for part in parts]
+
+
+def _varies(parts: Sequence[FloatArray]) -> bool:
+    """Whether a column varies and is there at half of the samples at least."""
+    x = np.concatenate(parts) if parts else np.empty(0)
+    known = x[np.isfinite(x)]
+    return 2 * len(known) >= len(x) > 0 and bool(known.max() > known.min())
+
+
+def _scaled(experiments: Sequence[FloatArray], alive: Sequence[int], parts: Sequence[Part]) -> list[FloatArray]:
+    """The columns that vary, centred and over their σ, both those of `parts`."""
     scaled: list[FloatArray] = [np.empty((len(data), len(alive)), order="F") for data in experiments]
     for target, i in enumerate(alive):
+        joined = np.concatenate([values[:, i] for values in _within(experiments, parts)])
         # by the largest first: squares of huge numbers leave the range of numbers
-        largest = max(float(np.nanmax(np.abs(data[:, i]), initial=0)) for data in experiments)
-        column = [data[:, i] / largest for data in experiments]
-        joined = np.concatenate(column)
+        largest = float(np.nanmax(np.abs(joined)))
+        joined = joined / largest
         mean = np.nanmean(joined)
         sigma = np.sqrt(np.nanmean((joined - mean) ** 2))
-        for block, values in zip(scaled, column, strict=True):
-            block[:, target] = (values - mean) / sigma if sigma > 0 else values - mean
+        with np.errstate(over="ignore"):  # of a test part beyond the range of numbers
+            for block, data in zip(scaled, experiments, strict=True):
+                values = data[:, i] / largest
+                block[:, target] = (values - mean) / sigma if sigma > 0 else values - mean
     return scaled
 
 
@@ -248,7 +275,8 @@ def _standardised(parts: Sequence[FloatArray]) -> list[FloatArray]:
     if not parts:
         return []
     everything = np.concatenate(parts)
-    sigma = everything.std(0)
+    with np.errstate(over="ignore"):  # a test part may be far beyond what the columns are scaled by
+        sigma = everything.std(0)
     mean = everything.mean(0)
     return [(part - mean) / np.where(sigma > 1e-12, sigma, np.inf) for part in parts]
 

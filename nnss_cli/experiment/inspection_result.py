@@ -42,7 +42,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Delay:
-    """How an output follows an input."""
+    """How an output follows an input, in the training and validation parts: `init_window` rests on it."""
 
     input: str
     """Name of the input."""
@@ -334,6 +334,9 @@ def _split(found: Inspection) -> Iterator[str]:
         yield f"The record has {sum(found.samples)} samples: too few for more than a first look."
     given = "split" in found.given
     if not given and split.rule != "60/20/20 in time order" and split.rule.endswith("time order"):
-        yield f"The split recommended is {split.rule}: with 60/20/20 more parts would be at rest or out of range."
+        yield (
+            f"The split recommended is {split.rule}: with 60/20/20 more columns would be at rest or out of range "
+            "in the training or validation part."
+        )
     for warning in split.warnings:
         yield f"With the {'given' if given else 'recommended'} split ({split.rule}), {warning}."

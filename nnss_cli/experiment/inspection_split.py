@@ -11,8 +11,9 @@ from nnss_cli.datasets.preparation import cut, parse_split
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.experiment.inspection_signals import Channel
 
-# tried in this order; the first with the fewest parts at rest or far out of range is recommended
-SHARES = ("60/20/20", "50/30/20", "50/25/25", "40/30/30")
+# tried in this order; the first whose training and validation parts are at rest or far out of range least often is
+# recommended. All test on the same samples, which so have no say.
+SHARES = ("60/20/20", "50/30/20", "40/40/20")
 BEYOND = 0.02  # share of samples outside the training range that is worth a warning
 FAR = 0.1  # share that is worth another split
 PART_NAMES = ("training", "validation", "test")
@@ -55,7 +56,7 @@ def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channe
     """60/20/20 in time order, unless another division does better; whole experiments where there are several.
 
     With three experiments or more the last tests and the one before validates; with two the second tests and the last
-    quarter of the first validates.
+    quarter of the first validates. What the test part holds has no say.
 
     Args:
         experiments: columns (K, c) of each, NaN where missing.
@@ -76,9 +77,9 @@ def recommend_split(experiments: Sequence[FloatArray], channels: Sequence[Channe
         rule = f"{shares} in time order"
         at = cut(K, parse_split(shares))
         train, val, test = ([Part(0, at[name].start, at[name].stop)] if K else [] for name in ("train", "val", "test"))
-        found = _checked(rule, train, val, test, experiments, channels)
-        if best is None or found[1] < best[1]:
-            best = found
+        grave = _checked(rule, train, val, [], experiments, channels)[1]
+        if best is None or grave < best[1]:
+            best = _checked(rule, train, val, test, experiments, channels)[0], grave
     assert best is not None
     return best[0]
 

@@ -428,13 +428,37 @@ def test_split_avoids_an_input_at_rest_or_says_so() -> None:
         600,
         800,
     )
-    # at rest from 790 on: the last fifth is constant, the last quarter is not
-    at_rest = examine({"valve": np.where(np.arange(1000) < 790, plant(1000)[0], 0.0)}, {"y": y})
-    assert at_rest.split.rule == "50/25/25 in time order"
-    assert at_rest.split.warnings == ()
-    assert any(remark.startswith("The split recommended is 50/25/25") for remark in at_rest.remarks)
-    worse = examine({"valve": np.where(np.arange(1000) < 650, u, 0.0)}, {"y": y})
-    assert any("input 'valve' is constant in the test part" in remark for remark in worse.remarks)
+    # at rest from 590 on: so is 60/20/20's validation part, not that of 50/30/20
+    at_rest = examine({"valve": np.where(np.arange(1000) < 590, plant(1000)[0], 0.0)}, {"y": y})
+    assert at_rest.split.rule == "50/30/20 in time order"
+    assert any(remark.startswith("The split recommended is 50/30/20") for remark in at_rest.remarks)
+    assert at_rest.split.warnings == ("input 'valve' is constant in the test part",)
+    worse = examine({"valve": np.where(np.arange(1000) < 350, u, 0.0)}, {"y": y})
+    assert any("input 'valve' is constant in the validation part" in remark for remark in worse.remarks)
+
+
+def recommended(u: FloatArray, y: FloatArray) -> tuple[Any, ...]:
+    found = examine({f"u{i}": column for i, column in enumerate(u.T)}, {"y": y})
+    split = found.split
+    return split.rule, split.train, split.val, split.test, found.init_window, found.orders
+
+
+@pytest.mark.parametrize(("rest", "rule"), [(2000, "60/20/20"), (1190, "50/30/20"), (990, "40/40/20")])
+def test_what_the_test_part_holds_changes_no_recommendation(rest: int, rule: str) -> None:
+    """A delay of its own, other levels, rest, missing and huge samples; for each split that may be recommended."""
+    u = np.random.default_rng(1).standard_normal((2000, 2))
+    y = lfilter([0, 1.0], RESONANT, u.sum(1)) + 0.1 * np.random.default_rng(2).standard_normal(2000)
+    u[rest:] = 0.0
+    expected = recommended(u, y)
+    assert expected[0] == f"{rule} in time order"
+    late = lfilter([0] * 30 + [50.0], [1, -0.5], np.random.default_rng(3).standard_normal(400))
+    for name, inputs, output in (
+        ("delay", np.random.default_rng(3).standard_normal((400, 2)), late), ("levels", 1e3, 500 + late),
+        ("rest", 0.0, 3.0), ("missing", np.nan, np.nan), ("huge", 1.0, 1e300), ("one", u[:400], 1e12 * y[:400]),
+    ):  # fmt: skip
+        changed, other = u.copy(), y.copy()
+        changed[1600:], other[1600:] = inputs, output
+        assert recommended(changed, other) == expected, name
 
 
 def test_ranges_beyond_the_training_part_are_told() -> None:
@@ -564,6 +588,9 @@ def test_a_million_rows_take_seconds_and_say_what_was_used() -> None:
     start = time.process_time()
     found = examine({"a": u[:, 0], "b": u[:, 1]}, {"y": y[:, 0], "z": y[:, 1]}, 0.1)
     assert time.process_time() - start < 6  # 1.8 s on an idle core; this is for one shared by others
-    assert found.used[0] == "spectra, coherence and delays: 131072 of 1000000 samples, where the inputs vary most"
-    assert found.used[1].startswith("order: 4000 samples")
+    assert found.used[:2] == (
+        "spectra and coherence: 131072 of 1000000 samples, where the inputs vary most",
+        "delays: 131072 of 800000 samples, where the inputs vary most",
+    )
+    assert found.used[2].startswith("order: 4000 samples")
     assert [d.samples for d in found.delays if (d.input, d.output) in (("a", "y"), ("b", "z"))] == [1, 1]
