@@ -12,7 +12,7 @@ import re
 import sys
 import textwrap
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from pathlib import Path
@@ -76,7 +76,9 @@ def _yes(value: object) -> bool:
 
 
 def _split(value: object) -> str:
-    parse_split(_text(value))
+    if not isinstance(value, str):
+        raise TypeError('train/validation/test in percent as text, "60/20/20"')
+    parse_split(value)
     return _text(value)
 
 
@@ -301,6 +303,7 @@ def read_description(path: Path) -> Description:
             near = nearest(key, valid)
             hint = f"did you mean '{near}'? " if near else ""
             raise InputError(f"'{path.name}': unknown key {shown(key)}: {hint}valid keys are {', '.join(valid)}")
+    _check_below_test(table, valid, path)
     table.setdefault("name", path.stem)
     for key in ("files", "inputs", "outputs"):
         if key not in table:
@@ -313,6 +316,18 @@ def read_description(path: Path) -> Description:
     except InputError as error:
         raise InputError(f"'{path.name}': {error}") from error
     return description
+
+
+def _check_below_test(table: Mapping[str, Any], valid: Sequence[str], path: Path) -> None:
+    """Refuse a key of the description below "[test]", where TOML takes it for a test set; files make it one."""
+    sets = table.get("test")
+    for key, value in sets.items() if isinstance(sets, Mapping) else ():
+        files = isinstance(value, list) and all(isinstance(one, str) for one in value)
+        if key in valid and not (files and (key in table or key not in ("files", "inputs", "outputs"))):
+            raise InputError(
+                f"'{path.name}': '{key}' stands inside the table [test], expected names of test sets with their files "
+                f"there, found {shown(value)}: move '{key}' above the line [test]"
+            )
 
 
 def write_description(description: Description, remarks: Mapping[str, str] | None = None) -> str:

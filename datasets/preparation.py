@@ -109,7 +109,7 @@ def check_agreement(Ts: float, found: float, what: str, remedy: str = "leave one
         raise InputError(f"{what}: sampling time {found:.9g} s, expected {Ts:.9g} s: {remedy}")
 
 
-INTERPOLATE = 'repair the file, or interpolate (missing = "interpolate")'
+INTERPOLATE = 'repair the file, or interpolate (--missing interpolate, or missing = "interpolate" in a description)'
 """What can be done about missing samples of a record that is described."""
 
 
@@ -123,21 +123,31 @@ def check_complete(values: FloatArray, names: Sequence[str], where: Where = samp
         remedy: what can be done at hand.
 
     Raises:
-        InputError: names the first column, its first gap, how many samples are missing, and the longest gap.
+        InputError: names the first column, its first gap and its longest, how many samples are missing, and the other
+            columns that miss some.
     """
-    for name, column in zip(names, values.T, strict=True):
-        missing = np.isnan(column)
-        if missing.any():
-            first, count = int(missing.argmax()), int(missing.sum())
-            raise InputError(
-                f"{where(first)}, column '{name}': {count} of {len(column)} samples are missing, the longest gap is "
-                f"{_longest_run(missing)}: {remedy}"
-            )
+    counts = dict(zip(names, np.isnan(values).sum(axis=0).tolist(), strict=True))
+    incomplete = [name for name, count in counts.items() if count]
+    if not incomplete:
+        return
+    name, *others = incomplete
+    missing = np.isnan(values[:, list(names).index(name)])
+    first, (start, length) = int(missing.argmax()), _longest_run(missing)
+    raise InputError(
+        f"{where(first)}, column '{name}': {counts[name]} of {len(missing)} samples are missing, the longest gap is "
+        f"{length}"
+        + f", from {where(start)} on" * (start != first)
+        + "".join(f"; column '{other}' misses {counts[other]}" for other in others)
+        + f": {remedy}"
+    )
 
 
-def _longest_run(flags: np.ndarray) -> int:
+def _longest_run(flags: np.ndarray) -> tuple[int, int]:
+    """Where the first of the longest runs of true begins, and its length."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    lengths = edges[1::2] - edges[::2]
+    k = int(lengths.argmax())
+    return int(edges[::2][k]), int(lengths[k])
 
 
 def interpolate_missing(t: FloatArray, values: FloatArray, names: Sequence[str], where: Where = sample) -> FloatArray:

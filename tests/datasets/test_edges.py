@@ -139,6 +139,14 @@ def test_missing_samples_are_told_with_their_longest_gap() -> None:
     values[[2, 3, 7], 1] = np.nan
     with pytest.raises(InputError, match="^sample 3, column 'y': 3 of 10 samples are missing, the longest gap is 2:"):
         check_complete(values, ["u", "y"])
+    late = values.copy()
+    late[[5, 6, 7, 9], 1] = late[[0, 5], 0] = np.nan
+    with pytest.raises(InputError) as error:
+        check_complete(late[:, [1, 0]], ["y", "u"])
+    assert str(error.value) == (
+        "sample 3, column 'y': 6 of 10 samples are missing, the longest gap is 3, from sample 6 on; column 'u' misses 2"
+        ': repair the file, or interpolate (--missing interpolate, or missing = "interpolate" in a description)'
+    )
     assert interpolate_missing(np.arange(10.0), values, ["u", "y"])[:, 1] == pytest.approx(np.arange(1.0, 20, 2))
     for row, word in ((0, "starts"), (9, "ends")):
         ragged = values.copy()
