@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Suffixes of delimited text, which may be packed (.csv.gz)."""
 SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
 """All suffixes that are known."""
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
+_FOREIGN_DATE = re.compile(r"(?:\d{1,2}([./-])\d{1,2}\1(?:\d{4}|\d\d)|\d{4}[./]\d{1,2}[./]\d{1,2})\b.*")
 SAME = 0.01
 """Part of the usual step to within which a jump counts as an hour's, and its neighbours as no jumps."""
 LATEST = 1e10
@@ -97,9 +100,9 @@ def find_column(table: pd.DataFrame, column: str | int) -> str:
     if number is None:
         near = nearest(str(column), names, 0.5)
         hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
-        raise InputError(f"'{source}' has no column {shown(column)}: {hint}")
+        raise InputError(f"'{source}' has no column {shown(column)}: {hint}{other_sheets(table)}")
     if not 1 <= number <= len(names):
-        raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1")
+        raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1{other_sheets(table)}")
     return names[number - 1]
 
 
@@ -115,7 +118,9 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
         words = np.array([not isinstance(value, float) for value in values])
         if words.any():
             k = int(words.argmax())
-            raise InputError(f"{place(table, k)}, column '{name}': expected a number, found {shown(values[k])}")
+            raise InputError(
+                f"{place(table, k)}, column '{name}': expected a number, found {shown(values[k])}{_hint(column, k)}"
+            )
         array = values.astype(np.float64)
     elif column.dtype.kind == "M":
         raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the date {column.iloc[0]}")
@@ -147,7 +152,8 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
             k = int(wrong[0])
             raise InputError(
                 f"{place(table, k)}, column '{name}': expected a time (seconds, or as 2024-01-31T12:00:00.5), "
-                f"found {shown(column.iloc[k])}: leave the column out and give the sampling time, or write it so"
+                f"found {shown(column.iloc[k])}"
+                + (_hint(column, k) or ": leave the column out and give the sampling time, or write it so")
             )
     else:
         stamps = column
@@ -203,6 +209,22 @@ def time_note(table: pd.DataFrame, name: str) -> str:
     return f"the time column '{name}' is read in {unit}, as its name says"
 
 
+def misread(column: pd.Series) -> str:
+    """Why a column that was meant for dates or numbers holds words, by its first cell; "" where that is unknown."""
+    first = str(column.dropna().iloc[0]).strip() if column.notna().any() else ""
+    if _FOREIGN_DATE.fullmatch(first):
+        return (
+            f"looks like dates in a form that is not read ('{first}'): write them as 2024-01-31T12:00:00.5 (ISO 8601)"
+        )
+    return f"has separators of thousands ('{first}'): take them out" if _THOUSANDS.fullmatch(first) else ""
+
+
+def other_sheets(table: pd.DataFrame) -> str:
+    """What is to be told where a table lacks something that another sheet of its Excel file may have; else ""."""
+    first, *others = table.attrs.get("sheets", [""])
+    return f"; this is its sheet '{first}', give --sheet for another: {', '.join(others)}" if others else ""
+
+
 def guess_time(names: Sequence[str], dates: Sequence[str]) -> str | None:
     """The column that is taken for the time where none is given: the first of dates or of a time's name.
 
@@ -242,6 +264,15 @@ def holds_numbers(column: pd.Series) -> bool:
 def place(table: pd.DataFrame, k: int) -> str:
     """Where sample k stands: the file, and the row as counted there."""
     return f"'{table.attrs.get('source', 'table')}' row {table.index[k]}"
+
+
+def _hint(column: pd.Series, k: int) -> str:
+    """What can be done about the word in cell k of a column of numbers, where that is a known case."""
+    if _THOUSANDS.fullmatch(str(column.iloc[k]).strip()):
+        return ": take the separators of thousands out, as in 1001.34"
+    if k == 0 and len(column) > 1 and holds_numbers(column.iloc[1:]):
+        return ": if this is a row of units, delete it and give --input-units and --output-units"
+    return ""
 
 
 def _in_seconds(table: pd.DataFrame, name: str) -> FloatArray:
@@ -307,6 +338,7 @@ def _read_excel(path: Path, sheet: str | int | None) -> pd.DataFrame:
         if sum(member.file_size for member in archive.infolist()) > LARGEST:
             raise InputError(f"'{path.name}' unpacks to more than {LARGEST >> 30} GiB: cut it into parts")
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    sheets = list(book.sheetnames)
     try:
         rows = list(book[_sheet(path, book.sheetnames, sheet)].iter_rows(values_only=True))
     finally:
@@ -323,7 +355,10 @@ def _read_excel(path: Path, sheet: str | int | None) -> pd.DataFrame:
     names = names or tuple(str(j + 1) for j in range(width))
     index = pd.RangeIndex(first + 1, first + 1 + len(cells))
     data = {name: _typed([row[j] for row in cells]) for j, name in enumerate(names)}
-    return pd.DataFrame(data, index=index)
+    table = pd.DataFrame(data, index=index)
+    if sheet is None:
+        table.attrs["sheets"] = sheets
+    return table
 
 
 def _sheet(path: Path, names: Sequence[str], sheet: str | int | None) -> str:

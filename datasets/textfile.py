@@ -31,6 +31,7 @@ MISSING = ("", "nan", "NaN", "NAN", "NA")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d\S*)?", re.ASCII)
+_EXCELS_HINT = re.compile(r'"?sep=(.)"?')
 _BETWEEN_BLANKS = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
 _BOOLEAN = {"true": 1.0, "false": 0.0}
 # Before 3.1 pandas rounds to the nearest double only if asked; from 3.1 on it does, and warns when asked.
@@ -165,6 +166,8 @@ def _lines(path: Path, stream: TextIO, delimiter: str, skipped: int = 0) -> Iter
                     f"'{path.name}' row {number}: more than {LONGEST_LINE} characters: expected a row of numbers; end "
                     "each row by a line break, or give the file its right suffix"
                 )
+            if number == 1 and _EXCELS_HINT.fullmatch(line.rstrip("\r\n")):
+                continue
             if number > skipped and line.strip(blanks) and not line.lstrip().startswith("#"):
                 yield number, line
     except UnicodeDecodeError as error:
@@ -218,7 +221,8 @@ def _layout(path: Path) -> Layout:
     marks = [mark for mark in "\t;, " if _count(lines[0], mark) > 1]
     if len(lines) > 1 and not any(_count(line, " ") > 1 for line in lines[1:]):
         marks = [mark for mark in marks if mark != " "]
-    delimiter = max(marks, key=lambda mark: sum(_count(line, mark) > 1 for line in lines), default=";")
+    usual = max(marks, key=lambda mark: sum(_count(line, mark) > 1 for line in lines), default=";")
+    delimiter = _told_delimiter(path) or usual
     rows = _rows(path, delimiter)
     number, first = next(rows)
     commas = delimiter in "\t;" and any(_COMMA_NUMBER.fullmatch(value.strip()) for value in first)
@@ -233,6 +237,17 @@ def _layout(path: Path) -> Layout:
         layout = replace(layout, decimal=_decimal(path, layout))
     text = tuple(isinstance(cell(value, layout.decimal), str) for value in first)
     return replace(layout, text=text)
+
+
+def _told_delimiter(path: Path) -> str:
+    """What a first line "sep=;" says, which Excel reads; "" where there is none."""
+    with _open(path) as stream:
+        found = _EXCELS_HINT.fullmatch(stream.readline(LONGEST_LINE).rstrip("\r\n"))
+    if found and found[1] not in "\t;, ":
+        raise InputError(
+            f"'{path.name}' row 1: expected a tab, ';', ',' or a blank as delimiter, found 'sep={found[1]}': save it so"
+        )
+    return found[1] if found else ""
 
 
 def _count(line: str, mark: str) -> int:

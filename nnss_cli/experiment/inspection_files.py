@@ -20,7 +20,9 @@ from nnss_cli.datasets.formats import (
     guess_time,
     holds_dates,
     is_numeric,
+    misread,
     numbers,
+    other_sheets,
     place,
     read_table,
     time_note,
@@ -221,8 +223,11 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     others = [name for name in columns if name not in taken and name != time]
     if stamps := [name for name in others if name in dates]:
         guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
-    if words := [name for name in others if name not in dates and not is_numeric(table[name])]:
-        guesses.append(f"Left out, since they hold no numbers: {', '.join(words)}.")
+    words = [name for name in others if name not in dates and not is_numeric(table[name])]
+    reasons = {name: why for name in words if (why := misread(table[name]))}
+    guesses += [f"Left out: column '{name}' {why}." for name, why in reasons.items()]
+    if rest := [name for name in words if name not in reasons]:
+        guesses.append(f"Left out, since they hold no numbers: {', '.join(rest)}.")
     free = [name for name in others if name not in {*stamps, *words}]
     inputs, outputs = given["inputs"], given["outputs"]
     if not inputs or not outputs:
@@ -242,6 +247,8 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
         raise InputError(
             f"'{table.attrs.get('source', 'table')}': expected a column of numbers as output, found "
             f"{', '.join(columns)}; name it with --outputs"
+            + "".join(f"; '{name}' {why}" for name, why in reasons.items())
+            + other_sheets(table)
         )
     return Roles(inputs, outputs, time, tuple(guesses), tuple(guessed))
 

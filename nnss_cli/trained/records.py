@@ -15,6 +15,7 @@ from nnss_cli.datasets.formats import (
     holds_dates,
     holds_numbers,
     numbers,
+    other_sheets,
     place,
     read_table,
     steady_times,
@@ -153,15 +154,16 @@ def _columns(
     except InputError as error:
         if "has no column" not in str(error):
             raise
-        held = [str(column) for column in read_table(path, None, sheet).columns]
+        whole = read_table(path, None, sheet)
+        held = [str(column) for column in whole.columns]
         missing = [name for name in names if name not in held]
         if not missing:
             raise
         raise InputError(
             f"'{path.name}': expected the columns {', '.join(names)}, the model's channels, found "
             f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: rename what stands for {', '.join(missing)}"
-            + without_outputs
-            * (not set(missing) & set(model.channels.inputs))
+            + without_outputs * (not set(missing) & set(model.channels.inputs))
+            + other_sheets(whole)
         ) from error
     stamped = str(table.columns[-1])
     if time is not None and stamped in names:

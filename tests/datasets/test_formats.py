@@ -300,6 +300,47 @@ def test_a_clock_set_to_summer_or_winter_time_is_told(minutes: int, start: str, 
     assert told(pd.Series(np.where(np.arange(100) < 50, 0, 3600) + 300 * np.arange(100))) == ""
 
 
+def test_what_spreadsheets_add_is_told_by_name(tmp_path: Path) -> None:
+    units = read_table(write(tmp_path / "a.csv", "t,u\ns,V\n0,1\n1,2\n"))
+    hint = "row 2, column '{}': expected a .*, found '{}': if this is a row of units, delete it and give --input-units"
+    with pytest.raises(InputError, match=hint.format("u", "V")):
+        numbers(units, "u")
+    with pytest.raises(InputError, match=hint.format("t", "s")):
+        times(units, "t")
+    words = read_table(write(tmp_path / "a.csv", "u\nV\n0\nA\n"))
+    with pytest.raises(InputError, match="found 'V'$"):
+        numbers(words, "u")
+    thousands = read_table(write(tmp_path / "a.csv", "u;y\n1,5;1.001,34\n2,5;999,48\n"))
+    with pytest.raises(InputError, match="found '1.001,34': take the separators of thousands out, as in 1001.34"):
+        numbers(thousands, "y")
+
+
+def test_a_hint_for_excel_tells_the_delimiter(tmp_path: Path) -> None:
+    """And is no header, row or comment: rows count it, and a comma may stand in more lines than the delimiter."""
+    for text in ("sep=;\na,b;c\n1,5;2\n2,5;3\n", '"sep=;"\r\na,b;c\r\n1,5;2\r\n2,5;3\r\n'):
+        table = read_table(write(tmp_path / "a.csv", text))
+        assert list(table.columns) == ["a,b", "c"]
+        np.testing.assert_array_equal(table.to_numpy(), [[1.5, 2], [2.5, 3]])
+        assert list(table.index) == [3, 4]
+    assert read_table(write(tmp_path / "a.csv", "sep=;\n1;2\n3;4\n")).to_numpy().tolist() == [[1, 2], [3, 4]]
+    with pytest.raises(InputError, match="row 1: expected a tab, ';', ',' or a blank as delimiter, found 'sep=|'"):
+        read_table(write(tmp_path / "a.csv", "sep=|\n1|2\n"))
+
+
+def test_the_other_sheets_are_told_where_the_first_lacks_a_column(tmp_path: Path) -> None:
+    with pd.ExcelWriter(tmp_path / "a.xlsx") as book:
+        pd.DataFrame({"note": ["x"]}).to_excel(book, sheet_name="Cover", index=False)
+        pd.DataFrame({"u": [1.0]}).to_excel(book, sheet_name="Run", index=False)
+    told = "; this is its sheet 'Cover', give --sheet for another: Run"
+    for column in ("u", 2):
+        with pytest.raises(InputError) as error:
+            read_table(tmp_path / "a.xlsx", [column])
+        assert str(error.value).endswith(told)
+    assert read_table(tmp_path / "a.xlsx", ["u"], "Run")["u"].tolist() == [1]
+    with pytest.raises(InputError, match="it has u$"):
+        read_table(tmp_path / "a.xlsx", ["y"], "Run")
+
+
 def test_columns_by_name_and_number(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "time,valve,7\n0,1,2\n1,3,4\n".replace("7", "level"))
     np.testing.assert_array_equal(read_table(path, [3, "valve", "1"]).to_numpy(), [[2, 1, 0], [4, 3, 1]])

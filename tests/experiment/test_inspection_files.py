@@ -79,6 +79,18 @@ def test_a_temperature_is_no_time_and_a_unit_of_time_is_told() -> None:
         assert told in assign_roles(table("time_ms", "u", "y"), fields).guesses
 
 
+def test_dates_and_numbers_that_are_not_read_are_told_why() -> None:
+    zeit = assign_roles(table("u", "y", Zeit=["05.03.2024 08:00:00", "05.03.2024 08:00:01"], note=["a", "b"]), {})
+    assert zeit.time is None
+    assert zeit.guesses[:2] == (
+        "Left out: column 'Zeit' looks like dates in a form that is not read ('05.03.2024 08:00:00'): write them as "
+        "2024-01-31T12:00:00.5 (ISO 8601).",
+        "Left out, since they hold no numbers: note.",
+    )
+    with pytest.raises(InputError, match=r"--outputs; 'y' has separators of thousands \('1.001,34'\): take them out$"):
+        assign_roles(table("u", y=["1.001,34", "999,48"]), {"inputs": ("u",)})
+
+
 def test_a_clock_set_to_summer_time_is_a_remark(tmp_path: Path) -> None:
     stamps = pd.date_range("2024-03-30T20:00", periods=150, freq="5min", tz="Europe/Berlin").tz_localize(None)
     frame = pd.DataFrame(np.random.default_rng(0).standard_normal((150, 2)), columns=["u", "y"])

@@ -172,6 +172,15 @@ def test_what_does_not_fit_is_named(
     assert "new.csv" in str(error.value)
 
 
+def test_the_other_sheets_are_told(model: TrainedModel, tmp_path: Path) -> None:
+    with pd.ExcelWriter(tmp_path / "new.xlsx") as book:
+        pd.DataFrame({"note": ["x"]}).to_excel(book, sheet_name="Cover", index=False)
+        table().to_excel(book, sheet_name="Run", index=False)
+    with pytest.raises(InputError, match="; this is its sheet 'Cover', give --sheet for another: Run$"):
+        read_record(model, tmp_path / "new.xlsx")
+    assert len(read_record(model, tmp_path / "new.xlsx", sheet="Run")) == 8
+
+
 def test_too_short_for_the_window(model: TrainedModel, tmp_path: Path) -> None:
     table().to_csv(tmp_path / "new.csv", index=False)
     assert len(read_start(windowed(model, 8), tmp_path / "new.csv").u) == 8
