@@ -16,6 +16,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     LEAST,
     band,
     excerpt,
+    feedback,
     multiple_coherence,
     products,
     responses,
@@ -123,7 +124,9 @@ def examine(
     excitation = []
     for i in range(r):
         found = None if power is None or i not in live_inputs else live_inputs.index(i)
-        excitation.append(_excitation(names[i], persistency(raw[i]), power, found, clock.Ts))
+        follows = None if found is None else feedback(parts, q, found)
+        told = _excitation(names[i], persistency(raw[i]), power, found, clock.Ts)
+        excitation.append(dataclasses.replace(told, feedback=follows))
     joint = persistency([part[:, :q] for part in complete]) if q > 1 and complete else None
     order = _order(scaled, split, q, len(live_outputs), detrend == "constant", used, seen)
     delays, linearity = [], []

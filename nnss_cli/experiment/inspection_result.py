@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from nnss_cli.datasets.preparation import AGREEMENT, Where, sample
-from nnss_cli.experiment.inspection_dynamics import LAGS
+from nnss_cli.experiment.inspection_dynamics import LAGS, Feedback
 from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
 from nnss_cli.experiment.inspection_split import Split, percent
@@ -38,6 +38,8 @@ class Excitation:
     """Frequencies that hold 95 % of the power, mean apart [Hz, or 1/sample without Ts]; None for a short record."""
     near_nyquist: float | None
     """Share of the power above 0.8 of the Nyquist frequency."""
+    feedback: Feedback | None = None
+    """Whether past outputs foretell it; None where it changes too seldom, or nothing new could."""
 
 
 @dataclass(frozen=True)
@@ -298,11 +300,11 @@ def _ties(found: Inspection) -> Iterator[str]:
                 "long memory; it cannot tell which."
             )
         if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
-            size = "< 1e-16" if each.p_value < 1e-16 else f"= {each.p_value:.1g}"
             yield (
                 f"Squares, cubes and products foretell {100 * each.gain:.0f} % of what a linear model leaves of "
-                f"'{each.output}' from one sample to the next (p {size}): it is nonlinear."
+                f"'{each.output}' from one sample to the next (p {_chance(each.p_value)}): it is nonlinear."
             )
+    yield from _feedback(found)
     if found.spectrum is not None:
         yield from _slow(found)
     lowest = min((c.val for c in found.order.candidates), default=0.0)
@@ -313,6 +315,29 @@ def _ties(found: Inspection) -> Iterator[str]:
         )
     if found.order.suggested == LARGEST:
         yield f"The linear order is at least {LARGEST}, the largest tried: `nnss order` looks further."
+
+
+def _chance(p: float) -> str:
+    return "< 1e-16" if p < 1e-16 else f"= {p:.1g}"
+
+
+def _feedback(found: Inspection) -> Iterator[str]:
+    """One remark: for the input that follows outputs most, else for the first pair that goes together at once."""
+    untrusted = "Under feedback delays and coherence are not to be trusted, and models fitted here may be biased."
+    tests = [(e.feedback.p_value, e.input, e.feedback) for e in found.excitation if e.feedback is not None]
+    follows = [test for test in tests if test[0] < SURE / len(tests) and test[2].gain > WORTH]
+    at_once = [delay for delay in found.delays if delay.samples == 0]
+    if follows:
+        p, name, most = min(follows, key=lambda test: test[:2])
+        yield (
+            f"Past outputs foretell {percent(most.gain)} of what is new of the input '{name}' (p {_chance(p)}): it "
+            f"follows them, which is feedback, or both follow something else. {untrusted}"
+        )
+    elif at_once:
+        yield (
+            f"'{at_once[0].output}' goes with '{at_once[0].input}' in the same sample: a feedthrough, or feedback, "
+            f"which this record does not tell apart. {untrusted}"
+        )
 
 
 def _slow(found: Inspection) -> Iterator[str]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from nnss_cli.datasets.record import FloatArray, Record
-from scipy.signal import csd, lfilter
+from scipy.signal import butter, csd, lfilter
 
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_dynamics import (
@@ -16,6 +16,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     _size,
     band,
     excerpt,
+    feedback,
     multiple_coherence,
     products,
     responses,
@@ -198,6 +199,58 @@ def test_a_product_of_output_and_input_is_seen() -> None:
     found = products([np.stack([u, y], axis=1)], 1, 0, [1])
     assert found is not None
     assert found.p_value < 1e-10
+
+
+@pytest.mark.parametrize("kind", ["white", "filtered", "held"])
+def test_no_input_follows_outputs_in_open_loop_at_the_level(kind: str) -> None:
+    """Four of 60 would be below 1 % by a chance of 0.3 %: feedthrough, delays, slow plants, white and other noise."""
+    plants = (([0, 0.02], [1, -0.98]), ([0, 1.0], [1, -1.5, 0.7]), ([1, 0.3], [1, -0.9]), ([0] * 6 + [1.0], [1, -0.8]))
+    alarms = 0
+    for seed in range(60):
+        e, v = noise(2, 1000, seed=seed)
+        u = {"white": v, "filtered": lfilter(*butter(4, 0.2), v), "held": np.repeat(v[:250], 4)}[kind]
+        y = lfilter(*plants[seed % 4], u)
+        e = lfilter([1.0], [1, -0.9 * (seed % 2)], e)
+        found = feedback([np.stack([u / u.std(), y / y.std() + 0.2 * e / e.std()], axis=1)[200:]], 1, 0)
+        assert found is not None
+        alarms += found.p_value < 0.01
+    assert alarms <= 3
+
+
+def loop(late: int, seed: int = 0, K: int = 800) -> FloatArray:
+    """u(k) = −0.8 y(k − late) and some excitation; the plant needs two samples."""
+    e, d, w = 0.02 * noise(3, K, seed=seed)
+    x, u, y = np.zeros(2), np.zeros(K), np.zeros(K)
+    for k in range(K):
+        y[k] = x[0] + e[k]
+        u[k] = d[k] - 0.8 * y[max(0, k - late)]
+        x = np.array([0.9 * x[0] + 0.2 * x[1] + w[k], -0.1 * x[0] + 0.7 * x[1] + 0.3 * u[k]])
+    return np.stack([u / u.std(), y / y.std()], axis=1)
+
+
+@pytest.mark.parametrize("late", [0, 1, 5])
+def test_an_input_that_follows_outputs_is_seen(late: int) -> None:
+    for seed in range(5):
+        found = feedback([loop(late, seed)], 1, 0)
+        assert found is not None
+        assert found.p_value < 1e-3
+        assert found.gain > 0.02
+    other = np.column_stack([noise(800, seed=9), loop(late)])  # of two inputs it is the second
+    first, second = (feedback([other[:400], other[400:]], 2, which) for which in (0, 1))
+    assert first is not None
+    assert second is not None
+    assert first.p_value > 0.01 > 1e-3 > second.p_value
+
+
+def test_an_input_that_changes_seldom_or_is_foretold_shows_no_feedback() -> None:
+    e = noise(800)
+    assert feedback([np.stack([np.repeat(e[:40], 20), e], axis=1)], 1, 0) is None
+    assert feedback([np.stack([np.sin(0.3 * np.arange(800)), e], axis=1)], 1, 0) is None
+    assert feedback([], 1, 0) is None
+    assert feedback([e[:, None]], 1, 0) is None  # no output
+    found = feedback([np.stack([np.repeat(e[:200], 4), e], axis=1)], 1, 0)
+    assert found is not None
+    assert found.samples == 198  # of 199 changes: one lies within the six lags
 
 
 def test_an_excerpt_is_where_the_inputs_vary_most_in_time_order() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from nnss_cli.experiment.inspection import examine
-from nnss_cli.experiment.inspection_dynamics import LAGS
+from nnss_cli.experiment.inspection_dynamics import LAGS, Feedback
 from nnss_cli.experiment.inspection_order import LARGEST, OrderCandidate, OrderGuess
 from nnss_cli.experiment.inspection_result import Inspection, Linearity, Spectrum, remarks_on
 from nnss_cli.experiment.inspection_signals import Copy, Persistency
@@ -96,6 +96,12 @@ SIDES = [
     ("linearity 0", {"p_value": 0.009, "gain": 0.02}, {"p_value": 0.01, "gain": 0.02},
      "foretell 2 % of what a linear model leaves of 'y' from one sample to the next (p = 0.009): it is nonlinear."),
     ("linearity 0", {"p_value": 0.0, "gain": 0.0101}, {"p_value": 0.0, "gain": 0.01}, "(p < 1e-16): it is nonlinear."),
+    ("excitation 1", {"feedback": Feedback(0.02, 0.0049, 900)}, {"feedback": Feedback(0.02, 0.0051, 900)},
+     "Past outputs foretell 2 % of what is new of the input 'v' (p = 0.005): it follows them, which is feedback, or"),
+    ("excitation 1", {"feedback": Feedback(0.011, 0.0, 900)}, {"feedback": Feedback(0.01, 0.0, 900)},
+     "(p < 1e-16): it follows them"),
+    ("delays 0", {"samples": 0}, {"samples": 1},
+     "'y' goes with 'u' in the same sample: a feedthrough, or feedback, which this record does not tell apart. Under"),
     ("order", {"constant": 0.2}, {"constant": 0.201},
      "better than a constant would: the guess of the order says little."),
     ("order", {"suggested": LARGEST}, {"suggested": LARGEST - 1},
@@ -115,6 +121,14 @@ def test_each_remark_has_a_threshold(
         changed(plain, path, **due)
     )
     assert not any(sentence in said for said in remarks_on(changed(plain, path, **not_due)))
+
+
+def test_of_feedback_there_is_one_remark_on_the_input_that_follows_most(plain: Inspection) -> None:
+    found = changed(plain, "excitation 0", feedback=Feedback(0.5, 1e-5, 900))
+    found = changed(changed(found, "excitation 1", feedback=Feedback(0.1, 1e-9, 900)), "delays 0", samples=0)
+    (said,) = remarks_on(found)
+    assert "foretell 10 % of what is new of the input 'v' (p = 1e-09)" in said
+    assert "delays and coherence are not to be trusted" in said
 
 
 def test_remarks_on_the_record_as_a_whole(plain: Inspection) -> None:
