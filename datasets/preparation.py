@@ -126,20 +126,17 @@ def check_complete(values: FloatArray, names: Sequence[str], where: Where = samp
         InputError: names the first column, its first gap and its longest, how many samples are missing, and the other
             columns that miss some.
     """
-    counts = dict(zip(names, np.isnan(values).sum(axis=0).tolist(), strict=True))
-    incomplete = [name for name, count in counts.items() if count]
-    if not incomplete:
-        return
-    name, *others = incomplete
-    missing = np.isnan(values[:, list(names).index(name)])
-    first, (start, length) = int(missing.argmax()), _longest_run(missing)
-    raise InputError(
-        f"{where(first)}, column '{name}': {counts[name]} of {len(missing)} samples are missing, the longest gap is "
-        f"{length}"
-        + f", from {where(start)} on" * (start != first)
-        + "".join(f"; column '{other}' misses {counts[other]}" for other in others)
-        + f": {remedy}"
-    )
+    gaps = []
+    for name, column in zip(names, values.T, strict=True):
+        missing = np.isnan(column)
+        if missing.any():
+            first, (start, length) = int(missing.argmax()), _longest_run(missing)
+            begins = f"{where(first)}, column '{name}': " if not gaps else f"column '{name}': "
+            elsewhere = f", from {where(start)} on" * (start != first or bool(gaps))
+            told = f"{int(missing.sum())} of {len(missing)} samples are missing, the longest gap is {length}"
+            gaps.append(begins + told + elsewhere)
+    if gaps:
+        raise InputError(f"{'; '.join(gaps)}: {remedy}")
 
 
 def _longest_run(flags: np.ndarray) -> tuple[int, int]:

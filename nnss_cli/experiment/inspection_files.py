@@ -209,6 +209,8 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
         role: tuple(find_column(table, column) for column in fields.get(role) or ()) for role in ("inputs", "outputs")
     }
     guesses, guessed = [], [role for role in ("inputs", "outputs") if not given[role]]
+    if len(sheets := table.attrs.get("sheets", [])) > 1:
+        guesses.append(f"Sheet '{sheets[0]}' is taken, of {', '.join(sheets)}: --sheet says otherwise.")
     columns = [str(name) for name in table.columns]
     dates = [name for name in columns if holds_dates(table, name)]
     taken = {*given["inputs"], *given["outputs"]}

@@ -144,7 +144,8 @@ def test_missing_samples_are_told_with_their_longest_gap() -> None:
     with pytest.raises(InputError) as error:
         check_complete(late[:, [1, 0]], ["y", "u"])
     assert str(error.value) == (
-        "sample 3, column 'y': 6 of 10 samples are missing, the longest gap is 3, from sample 6 on; column 'u' misses 2"
+        "sample 3, column 'y': 6 of 10 samples are missing, the longest gap is 3, from sample 6 on; "
+        "column 'u': 2 of 10 samples are missing, the longest gap is 1, from sample 1 on"
         ': repair the file, or interpolate (--missing interpolate, or missing = "interpolate" in a description)'
     )
     assert interpolate_missing(np.arange(10.0), values, ["u", "y"])[:, 1] == pytest.approx(np.arange(1.0, 20, 2))

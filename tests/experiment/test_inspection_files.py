@@ -91,6 +91,14 @@ def test_dates_and_numbers_that_are_not_read_are_told_why() -> None:
         assign_roles(table("u", y=["1.001,34", "999,48"]), {"inputs": ("u",)})
 
 
+def test_the_sheet_is_a_guess_too() -> None:
+    frame = table("u", "y")
+    frame.attrs["sheets"] = ["Cover", "Run"]
+    assert assign_roles(frame, {}).guesses[0] == "Sheet 'Cover' is taken, of Cover, Run: --sheet says otherwise."
+    frame.attrs["sheets"] = ["Run"]
+    assert "Sheet" not in assign_roles(frame, {}).guesses[0]
+
+
 def test_a_clock_set_to_summer_time_is_a_remark(tmp_path: Path) -> None:
     stamps = pd.date_range("2024-03-30T20:00", periods=150, freq="5min", tz="Europe/Berlin").tz_localize(None)
     frame = pd.DataFrame(np.random.default_rng(0).standard_normal((150, 2)), columns=["u", "y"])
