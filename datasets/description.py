@@ -180,7 +180,7 @@ class Description:
     "linear", to take a drift off every signal (a line in the time since each file's start, fitted on the training
     part)."""
     init_window: int = _option(_whole, 1)
-    """First output samples from which the initial state is found; they are not scored."""
+    """First output samples from which the initial state is found; more than one are not scored."""
     orders: tuple[int, ...] = _option(_different(_all(_whole)), ())
     """Model orders to compare."""
     horizon: str = _option(_one_of("auto", "matlab"), "auto")

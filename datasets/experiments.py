@@ -50,7 +50,7 @@ class Experiments:
     channels: Channels
     """Names and units."""
     init_window: int
-    """First output samples from which the initial state is found; they are not scored."""
+    """First output samples from which the initial state is found; more than one are not scored."""
     notes: tuple[str, ...] = ()
     """What a reader of the results must know: samples interpolated, a drift taken off, no test."""
     about_means: bool = False

@@ -37,7 +37,9 @@ RECORD_OPTIONS: dict[str, Any] = {
         "none|constant|linear",
         "constant: models about the mean; linear: take off a drift (of train).",
     ),
-    "init_window": _option(int, "--init-window", "W", "Find x(0) from the first W outputs, which are not scored."),
+    "init_window": _option(
+        int, "--init-window", "W", "Find x(0) from the first W outputs; more than one are not scored."
+    ),
     "sheet": _option(str, "--sheet", "NAME", "Sheet of an Excel file."),
     "name": _option(str, "--name", "NAME", "Name that results are kept under (default: the file's)."),
 }

@@ -80,7 +80,8 @@ def command(
         typer.echo(json.dumps(as_dict(found), indent=2, ensure_ascii=False))
     else:
         for rows, what, text in (
-            (output_rows(found), f"{name}: {trained.label}", 1), (step_rows(found.steps, found.channels), "Ahead", 1),
+            (output_rows(found), f"{name}: {trained.label}", 1),
+            (step_rows(found.steps, found.channels), "Ahead, after the samples that tell x(0)", 1),
             (residual_rows(found), "Residuals: errors one step ahead", 2),
             (point_rows(found), "Linearisations at equilibria", 2), (test_rows(found), "Tests", 1),
         ):  # fmt: skip

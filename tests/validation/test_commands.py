@@ -118,6 +118,7 @@ def test_a_sound_model_passes(
     assert "All 3 tests pass." in done.out
     assert "RMSE/σ" in done.out
     assert "σ (training)" in done.out
+    assert "Ahead, after the samples that tell x(0)" in done.out
     assert Path("v.png").stat().st_size > 50_000
 
 
