@@ -174,7 +174,8 @@ def _triangle(records: tuple[Record, ...], p: int) -> tuple[int, FloatArray]:
     regression are held at a time.
     """
     y_mean, u_mean = (np.concatenate(z).mean(axis=0) for z in zip(*((a.y, a.u) for a in records), strict=True))
-    q, triangle = 0, np.empty((0, p * (len(y_mean) + len(u_mean)) + len(u_mean) + 1 + len(y_mean)))
+    q, columns = 0, p * (len(y_mean) + len(u_mean)) + len(u_mean) + 1 + len(y_mean)
+    triangle: FloatArray = np.empty((0, columns))
     for record in records:
         for start in range(0, len(record) - p, STRETCH):
             piece = record[start : start + STRETCH + p]
@@ -182,5 +183,6 @@ def _triangle(records: tuple[Record, ...], p: int) -> tuple[int, FloatArray]:
             both, K = np.hstack([y, u]), len(y)
             past = [both[p - i : K - i] for i in range(1, p + 1)]
             rows = np.hstack([*past, u[p:], np.ones((K - p, 1)), y[p:]])
-            q, triangle = q + len(rows), np.linalg.qr(np.vstack([triangle, rows]), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+            q += len(rows)
     return q, triangle

@@ -177,7 +177,7 @@ def clock_change(table: pd.DataFrame, name: str, t: FloatArray) -> str:
         return ""
     even = np.abs(steps - usual) <= SAME * usual
     amid = np.concatenate([[True], even[:-1]]) & np.concatenate([even[1:], [True]])
-    for k in np.flatnonzero(amid & (np.abs(np.abs(steps - usual) - 3600) <= SAME * usual)):
+    for k in map(int, np.flatnonzero(amid & (np.abs(np.abs(steps - usual) - 3600) <= SAME * usual))):
         before, after = pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
         if after.tzinfo is None and (steps[k] < usual or 1 <= after.hour <= 4):
             return (

@@ -126,7 +126,7 @@ def check_complete(values: FloatArray, names: Sequence[str], where: Where = samp
         InputError: names the first column, its first gap and its longest, how many samples are missing, and the other
             columns that miss some.
     """
-    gaps = []
+    gaps: list[str] = []
     for name, column in zip(names, values.T, strict=True):
         missing = np.isnan(column)
         if missing.any():
