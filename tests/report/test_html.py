@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from html_runs import HOSTILE, HOSTILE_FOLDER, make_runs
 
+from nnss_cli.report.build import write_report
 from nnss_cli.report.html.page import write_html
+from nnss_cli.report.tables import FREE
 
 
 class Page(HTMLParser):
@@ -66,3 +68,6 @@ def test_several_outputs_and_small_folders(tmp_path: Path, size: int) -> None:
     text = write_html(tmp_path).read_text(encoding="utf-8")
     assert text.count('class="panel"') == 2 * size + 1
     assert ("mean of RMSE/σ</td>" in text) == (size > 1)
+    assert ("mean over outputs [m]</td>" in text) == (size > 1)
+    assert f"Errors are those of {FREE}." in text
+    assert f"RMSE in physical units of {FREE}." in write_report(tmp_path).read_text(encoding="utf-8")
