@@ -19,10 +19,12 @@ Sources: T. Söderström and P. Stoica, "System Identification", 1989, ch. 11 (c
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import scipy.special
+from nnss_cli.baselines.subspace import BLOCK, triangularise
 from nnss_cli.datasets.record import FloatArray, Record, Scaling
 
 LAGS = 10  # p, where the record is long enough
@@ -30,7 +32,6 @@ SAMPLES_A_COEFFICIENT = 3
 RANK = 1e-13  # a smooth input's past has singular values down to 1e-10, which count
 NEW = 1e-10  # of u(k) beside its past, relative; below it is rounding, as of a sum of a few sines
 REAL = 1e-6  # largest imaginary part of a real pole
-STRETCH = 4096  # samples of which the regressors are held at a time
 SURE = 3.0  # standard errors beyond which a steady output is not the mean
 
 
@@ -170,19 +171,17 @@ def _lags(records: tuple[Record, ...]) -> int:
 def _triangle(records: tuple[Record, ...], p: int) -> tuple[int, FloatArray]:
     """How many samples q have p before them, and R of QR = [y(k−1) u(k−1) … y(k−p) u(k−p), u(k), 1, y(k)] of these.
 
-    Sums of squares and products are RᵀR. y and u are in deviations from their means. At most `STRETCH` rows of the
-    regression are held at a time.
+    Sums of squares and products are RᵀR. y and u are in deviations from their means.
     """
+    return sum(max(0, len(record) - p) for record in records), triangularise(_rows(records, p))
+
+
+def _rows(records: tuple[Record, ...], p: int) -> Iterator[FloatArray]:
+    """The rows that `_triangle` is of, at most `BLOCK` at a time."""
     y_mean, u_mean = (np.concatenate(z).mean(axis=0) for z in zip(*((a.y, a.u) for a in records), strict=True))
-    q, columns = 0, p * (len(y_mean) + len(u_mean)) + len(u_mean) + 1 + len(y_mean)
-    triangle: FloatArray = np.empty((0, columns))
     for record in records:
-        for start in range(0, len(record) - p, STRETCH):
-            piece = record[start : start + STRETCH + p]
+        for start in range(0, len(record) - p, BLOCK):
+            piece = record[start : start + BLOCK + p]
             y, u = piece.y - y_mean, piece.u - u_mean
             both, K = np.hstack([y, u]), len(y)
-            past = [both[p - i : K - i] for i in range(1, p + 1)]
-            rows = np.hstack([*past, u[p:], np.ones((K - p, 1)), y[p:]])
-            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
-            q += len(rows)
-    return q, triangle
+            yield np.hstack([*(both[p - i : K - i] for i in range(1, p + 1)), u[p:], np.ones((K - p, 1)), y[p:]])

@@ -169,19 +169,20 @@ def _columns(
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
-    clock, t = (None, None) if time is None else (stamped, steady_times(table, stamped))
+    clock: str | None = None
+    t: FloatArray | None = None
     at_its_own = f"a model runs at its own sampling time alone: bring the file to {model.Ts:.9g} s"
-    if t is not None:
+    if time is not None:
+        clock, t = stamped, steady_times(table, stamped)
         rounded = "repair the file, or leave --time out where the times are only rounded"
         found = uniform_Ts(t, lambda k: place(table, k), rounded)
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
+    elif Ts is None and (regular := _regular_time(table, names)) is not None:
+        clock, t, found = regular
+        over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
+        check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", over)
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
-    if time is None and Ts is None:
-        clock, t = _regular_time(table, names)
-        if t is not None:
-            over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
-            check_agreement(model.Ts, uniform_Ts(t), f"'{path.name}', column '{clock}', against the model", over)
     return values, table, t if clock is not None and holds_numbers(table[clock]) else None
 
 
@@ -195,16 +196,15 @@ def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, who
     return read_table(path, wanted, sheet)
 
 
-def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str | None, FloatArray | None]:
-    """The column that reads as a time, and its instants [s]; None where there is none that is regular."""
+def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray, float] | None:
+    """The column that reads as a time, its instants and its step [s]; None where there is none that is regular."""
     others = [str(name) for name in table.columns if name not in channels]
     name = guess_time(others, [other for other in others if holds_dates(table, other)])
     if name is not None:
         with suppress(InputError):  # nothing was said of this column: it may be anything
             t = times(table, name)
-            uniform_Ts(t)
-            return name, t
-    return None, None
+            return name, t, uniform_Ts(t)
+    return None
 
 
 def _check_length(path: Path, found: int, needed: int, window: int) -> None:

@@ -154,7 +154,7 @@ def test_stretches_are_of_no_account(monkeypatch: pytest.MonkeyPatch) -> None:
     records = tuple(from_rest(random, K, 0.02, 2, 2)[0] for K in (300, 137, 9))
     found = []
     for length in (1000, 50, 41):
-        monkeypatch.setattr(arx, "STRETCH", length)
+        monkeypatch.setattr(arx, "BLOCK", length)
         told = longest_time_constant(records), feedthrough_p_value(records)
         found.append([*np.concatenate(steady_estimate(records)), *told])
     np.testing.assert_allclose(found[1:], found[:1] * 2, rtol=1e-7)
