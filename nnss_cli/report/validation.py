@@ -21,6 +21,7 @@ from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
 from nnss_cli.validation.result import OutputCheck, Validation
+from nnss_cli.validation.verdict import p_text
 
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
 """Where a legend is above its panel: at the right, since the factor of an axis (1e6) stands at the left."""
@@ -208,7 +209,7 @@ def _draw_residuals(block: Any, found: Validation, each: OutputCheck, driver: in
         panel.axhspan(-band, band, color="0.88", label="99 % band of one lag")
         panel.vlines(lags, 0, correlation, color="#0072B2", linewidth=1.4)
         panel.axhline(0, color="black", linewidth=0.6)
-        panel.set_title(textwrap.fill(f"{title}, p = {number(p, 2)}", 40).replace("$", r"\$"), fontsize=8)
+        panel.set_title(textwrap.fill(f"{title}, {p_text(p)}", 40).replace("$", r"\$"), fontsize=8)
         panel.set_xlabel("lag [samples]")
         panel.set_ylabel("correlation")
         largest = max(1.6 * band, 1.15 * float(np.abs(correlation).max()))

@@ -32,14 +32,14 @@ def stated(
         Stated(
             "residuals are white (Li-McLeod)",
             worst.white.p_value >= LEVEL / m,
-            f"{_p(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
+            f"{p_text(worst.white.p_value)} ('{worst.name}', {_colour(worst.white)})",
         )
     )
     p, output, name = min(
         (found.p_value, each.name, channels.inputs[j]) for each in outputs for j, found in enumerate(each.depends)
     )
     tests.append(
-        Stated("residuals do not depend on the inputs", p >= LEVEL / (m * r), f"{_p(p)} ('{output}' on '{name}')")
+        Stated("residuals do not depend on the inputs", p >= LEVEL / (m * r), f"{p_text(p)} ('{output}' on '{name}')")
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(steps.persistence[0] > 0, steps.predicted[0] / steps.persistence[0], np.inf)
@@ -213,5 +213,6 @@ def _colour(white: Whiteness) -> str:
     return f"r{lag + 1} = {r[lag]:.2f}"
 
 
-def _p(value: float) -> str:
+def p_text(value: float) -> str:
+    """A p-value as it is told; 0 is none."""
     return "p < 1e-16" if value < 1e-16 else f"p = {value:.2g}"

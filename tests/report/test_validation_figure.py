@@ -277,3 +277,9 @@ def test_linearisations_are_of_the_drawn_output_and_input(page: Any) -> None:
     many = replace(FOUND.linear, points=(point((1.23456, 2, 3, 4), 0), point((1, 2, 3), 0)))
     assert entries(page(replace(FOUND, linear=many))[9]) == ["u = 1.23, 2, 3, …", "u = 1, 2, 3"]
     assert len(page(replace(FOUND, linear=replace(FOUND.linear, points=())))) == len(page()) - 2  # no empty panels
+
+
+def test_a_p_value_that_is_no_number_any_more_is_not_said_to_be_zero(page: Any) -> None:
+    white = replace(FOUND.outputs[1].white, p_value=0.0)
+    left = page(replace(FOUND, outputs=(FOUND.outputs[0], replace(FOUND.outputs[1], white=white))))[3]
+    assert left.get_title() == "residuals with themselves, p < 1e-16"
