@@ -42,14 +42,16 @@ from real_files import folder_of_files
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / ".mutants"  # what ran where, and the survivors
 
-# folder → what is mutated, and the tests that judge it
-FOLDERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "datasets": ("datasets", ("tests/datasets", "tests/experiment/test_runs.py")),
-    "experiment": ("nnss_cli/experiment", ("tests/experiment", "tests/report")),
-    "report": ("nnss_cli/report", ("tests/report", "tests/validation", "tests/experiment/test_inspection.py")),
-    "training/fit.py": ("nnss_cli/training/fit.py", ("tests/training",)),
-}
-STRUCTURE = "tests/test_structure.py::test_dataclasses_are_frozen"  # judges every folder
+# group → what is mutated, folders or files, and the tests that judge it
+GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "datasets": (("datasets",), ("tests/datasets", "tests/experiment/test_runs.py")),
+    "experiment": (("nnss_cli/experiment",), ("tests/experiment", "tests/report")),
+    "report": (("nnss_cli/report",), ("tests/report", "tests/validation", "tests/experiment/test_inspection.py")),
+    "training": (
+        ("nnss_cli/training/attempt.py", "nnss_cli/training/fit.py", "nnss_cli/training/start.py"), ("tests/training",),
+    ),
+}  # fmt: skip
+STRUCTURE = "tests/test_structure.py::test_dataclasses_are_frozen"  # judges every group
 INSIDE = ("datasets", "baselines")  # top-level folders that are installed inside the package
 
 LIBRARIES = (
@@ -174,10 +176,10 @@ def mutant_of(file: str, operator: str, occurrence: int, place: Place) -> Mutant
             return None
     except SyntaxError:
         return None
-    folder = next(name for name, (path, _) in FOLDERS.items() if file.startswith(path))
+    tests = next(tests for paths, tests in GROUPS.values() if file.startswith(paths))
     name = f"{file}:{operator.rpartition('/')[2]}:{occurrence}"
     looks = sets_looks(place, places_of_looks(source))
-    return Mutant(name, file, text, place[0][0], FOLDERS[folder][1], looks=looks)
+    return Mutant(name, file, text, place[0][0], tests, looks=looks)
 
 
 def _program(text: str) -> str:
@@ -202,11 +204,11 @@ def _equality(op: ast.cmpop, *sides: ast.expr) -> ast.cmpop:
     return op
 
 
-def sampled(folder: str, count: int, seed: int) -> list[Mutant]:
-    """A draw of a folder's places, and at each one of its mutants: the many of `+` count no more than one."""
-    path = ROOT / FOLDERS[folder][0]
-    files = [path] if path.is_file() else sorted(path.glob("*.py"))
-    return drawn_from([str(file.relative_to(ROOT)) for file in files], count, f"{seed} {folder}")
+def sampled(group: str, count: int, seed: int) -> list[Mutant]:
+    """A draw of a group's places, and at each one of its mutants: the many of `+` count no more than one."""
+    paths = [ROOT / path for path in GROUPS[group][0]]
+    files = [file for path in paths for file in ([path] if path.is_file() else sorted(path.glob("*.py")))]
+    return drawn_from([str(file.relative_to(ROOT)) for file in files], count, f"{seed} {group}")
 
 
 def drawn_from(files: Sequence[str], count: int, seed: str) -> list[Mutant]:
@@ -263,7 +265,7 @@ def mapped(root: Path, mutants: Sequence[Mutant]) -> Map:
     for file in [file for file in hashes if kept.get(file, {}).get("hash") != hashes[file]]:
         print(f"what {file} runs …", flush=True)
         result, log = root / "map.json", root / "log.txt"
-        plugin = Tracing(root, [installed(path) for path, _ in FOLDERS.values()], result)
+        plugin = Tracing(root, [installed(path) for paths, _ in GROUPS.values() for path in paths], result)
         if run_tests(root, [STRUCTURE if STRUCTURE.startswith(file) else file], plugin, log, 3600, keep_compiled=True):
             raise SystemExit(f"tests fail where nothing is mutated:\n{log.read_text(encoding='utf-8')[-4000:]}")
         kept[file] = {"hash": hashes[file], **json.loads(result.read_text(encoding="utf-8"))}
@@ -401,15 +403,15 @@ def main() -> None:
         seed = options.seed
         groups = {
             name: sampled(name, options.sample, seed)
-            if name in FOLDERS
+            if name in GROUPS
             else drawn_from([name], options.sample, f"{seed} {name}")
             for name in options.only
         }
     else:
         groups = {"the review's": named_mutants()}
-        for position, folder in enumerate(FOLDERS):
-            count = (options.sample + position) // len(FOLDERS)
-            groups |= {folder: sampled(folder, count, options.seed)} if count else {}
+        for position, group in enumerate(GROUPS):
+            count = (options.sample + position) // len(GROUPS)
+            groups |= {group: sampled(group, count, options.seed)} if count else {}
     if options.tests:
         groups = {
             name: [mutant if mutant.named else replace(mutant, tests=tuple(options.tests)) for mutant in mutants]

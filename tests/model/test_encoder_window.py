@@ -27,8 +27,8 @@ from nnss_cli.trained import TrainedModel
 from nnss_cli.training.encoder import seen_windows
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
-from nnss_cli.training.fit import begin
 from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.start import begin
 
 W = 3
 

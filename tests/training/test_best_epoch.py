@@ -10,10 +10,11 @@ from nnss_cli.datasets.windows import sliding_windows
 
 from nnss_cli.iterative import named_random
 from nnss_cli.modelfile import Tensors
-from nnss_cli.training import fit as module
+from nnss_cli.training import attempt as module
+from nnss_cli.training.attempt import Training
 from nnss_cli.training.engine import Engine
 from nnss_cli.training.fast import FastEngine
-from nnss_cli.training.fit import Training, train_nnss
+from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import ENGINES, Recipe
 
 QUICK = Recipe(hidden=(6,), encoder=(3,), window=10, stride=3, batch=4, epochs=5, dtype="float64")

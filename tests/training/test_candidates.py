@@ -15,9 +15,11 @@ from nnss_cli.datasets.record import Dataset, FittingData, FloatArray, Record, S
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
+from nnss_cli.training import attempt as module
 from nnss_cli.training import candidates as candidates_module
-from nnss_cli.training import fit as module
+from nnss_cli.training import fit
 from nnss_cli.training import recipe as recipe_module
+from nnss_cli.training.attempt import Attempt, Clock
 from nnss_cli.training.candidates import STRETCHES, blocks, chance, pays, pooled, worth_trying
 from nnss_cli.training.fit import stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
@@ -152,9 +154,7 @@ def test_squares_are_of_the_best_weights_on_what_was_held_out(small_data: Callab
     data = fitting(small_data(), with_feedthrough)
     train, val = data.normalised()
     recipe = RECIPE.replace(feedthrough="no", epochs=8)
-    attempt = module._Attempt(
-        data, 2, 0, recipe, train, val, np.inf, module._Clock(0), None, module._remembering()
-    )  # fmt: skip
+    attempt = Attempt(data, 2, 0, recipe, train, val, np.inf, Clock(0), None, linear_start)
     attempt.train(train, 8)
     assert len(attempt.squares()) == sum(map(len, val))
     assert np.sqrt(attempt.squares().mean()) == pytest.approx(attempt.error, rel=1e-12)
@@ -186,7 +186,7 @@ def test_an_incremental_layer_needs_no_margin(small_data: Callable, monkeypatch:
     assert auto.val_rmse == layer.val_rmse
     said = f"incremental layer taken: it lowers the validation error with {weights[1]} weights for {weights[0]}"
     assert said in auto.remarks
-    monkeypatch.setattr(module, "pays", lambda error, rival, **_: pays(error, rival))
+    monkeypatch.setattr(fit, "pays", lambda error, rival, **_: pays(error, rival))
     assert train_nnss(data, 2, 0, recipe).model.architecture == schur.model.architecture
 
 
@@ -198,7 +198,7 @@ def test_candidates_share_ssests_model(small_data: Callable, monkeypatch: pytest
         made.append(feedthrough)
         return linear_start(train, val, order, gamma, init_window, feedthrough)
 
-    monkeypatch.setattr(module, "linear_start", noting)
+    monkeypatch.setattr(fit, "linear_start", noting)
     monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: 0.0)
     training = train_nnss(few(small_data()), 2, 0, RECIPE.replace(stability="auto", epochs=2))
     assert set(training.candidates) >= {"as it is", "feedthrough"}

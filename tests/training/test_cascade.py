@@ -17,7 +17,7 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import PlainArrays
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import cascade as module
-from nnss_cli.training import fit as fit_module
+from nnss_cli.training.attempt import Attempt, Clock
 from nnss_cli.training.candidates import worth_trying
 from nnss_cli.training.cascade import Cascade, Problem, basis, cascade_start, divisions, train_cascade
 from nnss_cli.training.engine import free_run_rmse
@@ -466,8 +466,7 @@ def test_a_cascade_has_all_epochs_in_every_stage(between: FittingData) -> None:
     found = {}
     for changes in ({"stability": "schur", "initial": "linear"}, {"stability": "incremental", "initial": "cascade"}):
         recipe = base.replace(**changes)
-        clock, linear = fit_module._Clock(0), fit_module._remembering()
-        attempt = fit_module._Attempt(between, 4, 0, recipe, train, val, np.inf, clock, None, linear)
+        attempt = Attempt(between, 4, 0, recipe, train, val, np.inf, Clock(0), None, linear_start)
         found[attempt.start] = [attempt.epochs(stage) for stage in (1, 2, 5)]
     assert found == {"linear": [5, 2, 1], "cascade": [10, 10, 10]}
 

@@ -11,9 +11,11 @@ import torch
 from nnss_cli.datasets.record import Dataset, FittingData, Record
 
 from nnss_cli.errors import InputError
-from nnss_cli.training import fit as module
-from nnss_cli.training.fit import begin, train_nnss
+from nnss_cli.training import attempt, fit
+from nnss_cli.training import start as starts
+from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.start import begin
 
 BEST = recipe_of("best", {}, 2).replace(
     feedthrough="auto", integrator="auto", lead=0, judge="validation", scheduling="auto"
@@ -74,10 +76,10 @@ def choose(small_data: Callable[..., Dataset], monkeypatch: pytest.MonkeyPatch) 
     def chosen(
         found: Candidates, names: tuple[str, ...], recipe: Recipe = BEST, on_epoch: Any = None, data: FittingData = data
     ) -> Any:
-        monkeypatch.setattr(module, "_Attempt", found.attempt)
-        monkeypatch.setattr(module, "worth_trying", lambda *_: names)
-        monkeypatch.setattr(module, "chance", found.chance)
-        monkeypatch.setattr(module.time, "monotonic", lambda: found.now)
+        monkeypatch.setattr(fit, "Attempt", found.attempt)
+        monkeypatch.setattr(fit, "worth_trying", lambda *_: names)
+        monkeypatch.setattr(fit, "chance", found.chance)
+        monkeypatch.setattr(attempt.time, "monotonic", lambda: found.now)
         return train_nnss(data, 2, 7, recipe, on_epoch)
 
     return chosen
@@ -280,8 +282,8 @@ class Starts:
             ("linear_start", "SSEST"), ("feedback_start", "feedback"), ("warm_start", "warm"),
             ("linear_layer", "layer"),
         ):  # fmt: skip
-            monkeypatch.setattr(module, name, self.step(where, where in fails, where != "feedback" or not refused))
-        monkeypatch.setattr(module, "waiting_for", lambda what: self.seen.append(f"waits for {what}"))
+            monkeypatch.setattr(starts, name, self.step(where, where in fails, where != "feedback" or not refused))
+        monkeypatch.setattr(starts, "waiting_for", lambda what: self.seen.append(f"waits for {what}"))
 
     def step(self, name: str, fails: bool, gives: bool) -> Callable[..., Any]:
         def run(*_: Any) -> Any:
@@ -348,5 +350,5 @@ def test_a_constant_channel_is_named_once_where_a_start_failed(monkeypatch: pyte
     Starts(monkeypatch, ["SSEST"])
     still = (Record(np.ones((8, 1)), np.arange(8.0)[:, None], 1.0),)
     _, (remark,) = begin(Model(), "linear", still, still, 0)  # type: ignore[arg-type]
-    (name,) = module.constant_channels(still)
+    (name,) = starts.constant_channels(still)
     assert remark == f"SSEST failed (no SSEST; {name} is constant): started from random weights"

@@ -14,9 +14,9 @@ from nnss_cli.experiment.execute import simulate_splits
 from nnss_cli.experiment.order import order_table
 from nnss_cli.methods import METHODS
 from nnss_cli.methods.ensemble import better_half
+from nnss_cli.training.attempt import build_engine
 from nnss_cli.training.engine import free_run_rmse
 from nnss_cli.training.feedback import Feedback
-from nnss_cli.training.fit import build_engine
 from nnss_cli.training.recipe import ENGINES, Recipe
 
 QUICK = {"hidden": (6,), "encoder": (3,), "window": 12, "stride": 12, "batch": 4, "epochs": 3, "dtype": "float64"}

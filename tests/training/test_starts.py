@@ -14,13 +14,15 @@ from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling
 from nnss_cli.errors import InputError
 from nnss_cli.methods import METHODS
 from nnss_cli.model.nnss import NNSS
-from nnss_cli.training import fit as module
+from nnss_cli.training import attempt
 from nnss_cli.training import least_squares as optimiser
+from nnss_cli.training import start as module
 from nnss_cli.training.encoder import encoder_map, set_encoder
 from nnss_cli.training.engine import ReferenceEngine
 from nnss_cli.training.fast import FastEngine
-from nnss_cli.training.fit import begin, train_nnss
+from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.start import begin
 from nnss_cli.training.warm import warm_start
 
 BEST = Recipe(
@@ -103,7 +105,7 @@ def test_the_reason_of_a_failure_is_a_sentence_about_the_data(name: str) -> None
 def test_a_start_that_is_kept_and_one_that_is_refused_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     data = dataset(np.sin(k * k), np.cos(k * k))
     errors = iter([1.0, 2.0, 2.0, 2.0])
-    monkeypatch.setattr(module, "free_run_rmse", lambda *_: next(errors))
+    monkeypatch.setattr(attempt, "free_run_rmse", lambda *_: next(errors))
     monkeypatch.setattr(module, "feedback_start", lambda *_: False)
     training = train_nnss(data, 2, 0, BEST)
     assert training.best_epoch == 0
@@ -118,7 +120,7 @@ def test_a_start_that_is_kept_and_one_that_is_refused_are_told(monkeypatch: pyte
 
 def test_a_start_that_no_step_improved_was_not_refused_by_validation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the optimiser took no step, validation had none to refuse."""
-    monkeypatch.setattr(module, "gauss_newton", lambda *_: None)
+    monkeypatch.setattr(attempt, "gauss_newton", lambda *_: None)
     training = train_nnss(dataset(np.sin(k * k), np.cos(k * k)), 2, 0, BEST.replace(initial="linear"))
     assert (training.epochs, training.remarks) == (0, ("no step lowered the training error of the linear start",))
 

@@ -13,10 +13,11 @@ from nnss_cli.datasets.record import Dataset, Record
 from nnss_cli.datasets.windows import beginnings
 
 from nnss_cli.iterative import EarlyStopping
+from nnss_cli.training import attempt as module
 from nnss_cli.training import candidates
-from nnss_cli.training import fit as module
+from nnss_cli.training.attempt import Clock, Watch, _adam, _lbfgs
 from nnss_cli.training.candidates import worth_trying
-from nnss_cli.training.fit import _adam, _after, _Clock, _lbfgs, _Watch, stages, train_nnss
+from nnss_cli.training.fit import _after, stages, train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
 
 GAUSS = Recipe(
@@ -44,13 +45,13 @@ class Script:
         self.placed.append(vector.tolist())
 
 
-def watch(engine: Script, rival: float = math.inf, on_epoch: Any = None, **changes: Any) -> _Watch:
-    made = _Watch((), 1, GAUSS.replace(**changes), rival, _Clock(0), on_epoch)
+def watch(engine: Script, rival: float = math.inf, on_epoch: Any = None, **changes: Any) -> Watch:
+    made = Watch((), 1, GAUSS.replace(**changes), rival, Clock(0), on_epoch)
     made.take(engine, (), 1)  # type: ignore[arg-type]
     return made
 
 
-def epochs_until_it_ends(made: _Watch, most: int = 60) -> int:
+def epochs_until_it_ends(made: Watch, most: int = 60) -> int:
     return next((epoch for epoch in range(1, most + 1) if not made.goes_on(1.0)), 0)
 
 
@@ -96,7 +97,7 @@ def test_a_later_stage_is_no_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "build_engine", lambda *_: engine)
     record = Record(np.zeros((30, 1)), np.zeros((30, 1)), 1.0)
     for epochs in (9, 20):
-        module._Attempt.train(attempt, (record,), epochs)
+        module.Attempt.train(attempt, (record,), epochs)
     assert begun == [9, 20]
 
 
@@ -153,7 +154,7 @@ def test_patience_is_reset_by_a_marked_gain_alone() -> None:
 def test_a_budget_is_up_after_its_seconds_and_none_never_is(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    two, none = _Clock(2.0), _Clock(0.0)
+    two, none = Clock(2.0), Clock(0.0)
     now[0] = 102.0
     assert not two.up
     now[0] = 102.1
