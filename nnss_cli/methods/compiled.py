@@ -18,7 +18,7 @@ from nnss_cli.methods.protocol import Model
 if TYPE_CHECKING:
     from nnss_cli.model.nnss import NNSS
 
-LONG = 1000  # samples from which on an NN-SS is run by compiled kernels: torch takes as long as to read these from disk
+LONG = 100  # samples from which on an NN-SS is run by compiled kernels: whoever runs it so long mostly does so again
 
 
 def free_run(model: Model, u: FloatArray, y_init: FloatArray) -> Simulation:

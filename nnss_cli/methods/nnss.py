@@ -42,7 +42,7 @@ class NNSS(Method):
     """The paper's method: `nnss_cli.model` trained by `nnss_cli.training`, with one of its recipes."""
 
     seeded = True
-    version = "5"
+    version = "6"
     models = {"nnss": _read}  # noqa: RUF012 - never changed
 
     def __init__(self, name: str, position: int, recipe: str | None = None) -> None:

@@ -94,7 +94,7 @@ class TrainedModel:
     def simulate(self, u: Any, y_init: Any = None, x0: Any = None) -> Simulation:
         """Free simulation: from first outputs, from a state, or at rest.
 
-        An NN-SS model runs along 1000 samples and more in compiled code, equal up to rounding; so does an ensemble from
+        An NN-SS model runs along 100 samples and more in compiled code, equal up to rounding; so does an ensemble from
         first outputs.
 
         Args:

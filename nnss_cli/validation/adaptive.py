@@ -64,14 +64,17 @@ class AdaptiveBand:
             errors: y − ŷ (K, m).
             begin: first sample that counts: those of the init window tell the initial state.
         """
-        h, q, alpha = self.horizon, self.start.half_width, 1 - self.start.level
-        sizes, widths, theta = np.abs(errors), np.tile(q, (len(errors), 1)), np.zeros_like(q)
+        h, alpha, least = self.horizon, 1 - self.start.level, math.log(NARROWEST)
         eta = _step(self.steps, np.arange(len(errors))[:, None], h)
-        least = math.log(NARROWEST)
-        for k in range(begin + h, len(errors)):
-            known = k - h
-            theta = np.maximum(theta + eta[known - begin] * ((sizes[known] > widths[known]) - alpha), least)
-            widths[k] = q * np.exp(theta)
+        widths = np.empty_like(errors)
+        for i, q in enumerate(self.start.half_width.tolist()):
+            # Python's numbers: several times quicker than arrays of one for each output
+            sizes, steps, theta = np.abs(errors[:, i]).tolist(), eta[:, i].tolist(), 0.0
+            width = [q] * min(begin + h, len(errors))
+            for known in range(begin, len(errors) - h):
+                theta = max(theta + steps[known - begin] * ((sizes[known] > width[known]) - alpha), least)
+                width.append(q * math.exp(theta))
+            widths[:, i] = width
         return widths
 
     def bound(self, errors: FloatArray) -> FloatArray:

@@ -43,6 +43,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt
 from nnss_cli.training.least_squares import NormalEquations, levenberg_marquardt
+from nnss_cli.validation import gain_kernels as kernels
 from nnss_cli.validation.disturbance import Disturbance, Increments, constant
 from nnss_cli.validation.predictor import Predictor, step_table
 from nnss_cli.validation.stepping import Stepper
@@ -250,23 +251,16 @@ def _linearise(system: Stepper, K: FloatArray, pieces: _Pieces) -> _Line | None:
 
 
 def _errors(line: _Line, K: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """ε̃ (L, b, m) of another gain, to first order, and its derivatives (L, b, m, s·m) by that gain's entries."""
+    """ε̃ (L, b, m) of another gain, to first order, and its derivatives (L, b, m, s·m) by that gain's entries.
+
+    ξ = z̃ − z obeys ξ(k+1) = (F − K H) ξ + (K − K₀) ε, with K₀ the line's own.
+    """
     L, b, m = line.errors.shape
-    s = K.shape[0]
-    errors, J = np.empty((L, b, m)), np.empty((L, b, m, s * m))
-    xi, S = np.zeros((b, s, 1)), np.zeros((b, s, s * m))
-    known = line.errors @ line.K.T
+    errors, J = np.empty((L, b, m)), np.empty((L, b, m, len(K), m))
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(L):
-            F, H = line.F[k], line.H[k]
-            error = line.errors[k] - (H @ xi)[..., 0]
-            errors[k] = error
-            xi = F @ xi + (error @ K.T - known[k])[..., None]
-            J[k] = -H @ S
-            S = F @ S + K @ J[k]
-            for i in range(s):
-                S[:, i, i * m : (i + 1) * m] += error
-    return errors, J
+        driven = line.errors @ (K - line.K).T
+        kernels.sensitivities(line.F - K @ line.H, line.H, driven, line.errors, errors, J)
+    return errors, J.reshape(L, b, m, -1)
 
 
 def _squares(line: _Line, pieces: _Pieces, K: FloatArray) -> FloatArray:
@@ -345,9 +339,11 @@ def _judged(system: Stepper, found: Found, train: Sequence[Record], val: Sequenc
             K = np.stack(list(candidates.values()))
             errors, paths = _judge(whole, K, records, w)
             paths += _judge(whole, K, known, w)[1]
-            for i, name in enumerate(candidates):
-                rate, radius = _contraction(whole, K[i], [(z[:, i], u) for z, u in paths])
-                judged.append(_Candidate(name, float(errors[i]), whole, by, K[i], rate, radius))
+            rates, radii = _contraction(whole, K, paths)
+            judged += [
+                _Candidate(name, float(errors[i]), whole, by, K[i], float(rates[i]), float(radii[i]))
+                for i, name in enumerate(candidates)
+            ]
     return judged
 
 
@@ -401,30 +397,38 @@ def growth_along(system: Stepper, found: Gain, records: Sequence[Record], w: int
     """
     whole = system if found.disturbance is None else system.disturbed(found.disturbance)
     _, paths = _judge(whole, found.K[None], records, w)
-    return _contraction(whole, found.K, [(z[:, 0], u) for z, u in paths])[0]
+    return float(_contraction(whole, found.K[None], paths)[0][0])
 
 
-def _contraction(system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float]:
-    """Growth a sample of the observer's error, to first order, over the record where it grows most; its largest radius.
+def _contraction(
+    system: Stepper, K: FloatArray, paths: Sequence[tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Growth a sample of the observers' errors, to first order, over the record where each grows most; largest radii.
 
-    The radius is the largest spectral radius of a frozen F(k) − K H(k).
+    The radius is the largest spectral radius of a frozen F(k) − K H(k); both are infinite where a path is not finite.
+
+    Args:
+        system: with the disturbance.
+        K: gains (c, s, m).
+        paths: of each record ẑ (N, c, s) and u (N, r).
     """
-    rate, radius = 0.0, 0.0
+    rates, radii = np.zeros((2, len(K)))
     for z, u in paths:
-        if not np.isfinite(z).all():
-            return np.inf, np.inf
-        F, H = system.jacobians(z, u)
-        closed = F - K @ H
-        radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
-        product, growth = np.eye(system.size), 0.0
-        for step in closed:
-            product = step @ product
-            norm = float(np.linalg.norm(product))
-            if not norm > 0:  # a dead beat
-                growth -= np.inf
-                break
-            growth += np.log(norm)
-            product /= norm
-        growth -= 0.5 * np.log(system.size)  # the norm that the identity began with
-        rate = max(rate, float(np.exp(growth / len(closed))))
-    return rate, radius
+        finite = np.isfinite(z).all(axis=(0, 2))
+        rates[~finite] = radii[~finite] = np.inf
+        N, c, s = z[:, finite].shape
+        if c == 0:
+            break
+        F, H = system.jacobians(z[:, finite].reshape(N * c, s), np.repeat(u, c, axis=0))
+        closed = F.reshape(N, c, s, s) - K[finite] @ H.reshape(N, c, -1, s)
+        radii[finite] = np.maximum(radii[finite], np.abs(np.linalg.eigvals(closed)).max(axis=(0, 2)))
+        product, growth = np.broadcast_to(np.eye(s), (c, s, s)), np.zeros(c)
+        with np.errstate(divide="ignore"):  # a dead beat: the logarithm of 0
+            for step in closed:
+                product = step @ product
+                size = np.sqrt(np.einsum("cij,cij->c", product, product))
+                growth += np.log(size)
+                product = product / np.where(size > 0, size, 1)[:, None, None]
+        growth -= 0.5 * np.log(s)  # the norm that the identity began with
+        rates[finite] = np.maximum(rates[finite], np.exp(growth / N))
+    return rates, radii

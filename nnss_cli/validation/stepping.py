@@ -19,8 +19,7 @@ from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace, propagate
 from nnss_cli.datasets.record import FloatArray, Scaling, Simulation
 from nnss_cli.errors import InputError
-from nnss_cli.methods import Model
-from nnss_cli.methods.compiled import free_run
+from nnss_cli.methods import Model, compiled
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
@@ -30,7 +29,6 @@ from nnss_cli.validation.disturbance import Disturbance
 Step: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """z(k+1) (b, s) and y(k) (b, m) from z (b, s) and u (b, r)."""
 CHUNK = 4096  # points whose step is taken at a time
-COMPILED_FROM = 100  # samples along which it is taken in compiled code: to find a gain takes dozens of passes
 
 
 class Stepper(Protocol):
@@ -118,7 +116,7 @@ def _stepper(model: Model) -> Stepper:
 
 
 class Neural:
-    """An NN-SS model by its own torch step; along `COMPILED_FROM` samples by the compiled one, equal up to rounding."""
+    """An NN-SS model by its own torch step; along `LONG` samples by the compiled one, equal up to rounding."""
 
     def __init__(self, model: NNSS) -> None:
         self.model, self.scaling = model, model.scaling
@@ -133,7 +131,7 @@ class Neural:
 
     def simulate(self, u: FloatArray, y_init: FloatArray) -> Simulation:
         """See `Stepper`."""
-        return free_run(self.model, u, y_init)
+        return compiled.free_run(self.model, u, y_init)
 
     @cached_property
     def _compiled(self) -> Weights:
@@ -149,7 +147,7 @@ class Neural:
 
     def step_along(self, samples: int) -> Step:
         """What steps along a record of so many samples."""
-        return self.step if samples < COMPILED_FROM else self._compiled_step
+        return self.step if samples < compiled.LONG else self._compiled_step
 
     def start(self, x0: FloatArray, y0: FloatArray, u0: FloatArray) -> FloatArray:
         """See `Stepper`."""

@@ -108,6 +108,7 @@ def test_from_a_state_it_is_the_same_in_compiled_code(
     model, random = untrained(n=3, **kind), np.random.default_rng(1)
     u, z0 = random.standard_normal((200, 1)), 0.3 * random.standard_normal(model.system.size)
     starts = [{"x0": z0}, *[{}] * ("integrator" not in kind)]  # which is at rest nowhere
+    monkeypatch.setattr(compiled, "LONG", len(u) + 1)
     plain = [model.simulate(u, **start) for start in starts]
     monkeypatch.setattr(compiled, "LONG", 1)
     fast = [model.simulate(u, **start) for start in starts]

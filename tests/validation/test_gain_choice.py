@@ -34,7 +34,7 @@ def test_a_gain_that_is_lost_along_a_whole_record_is_not_taken(
         return np.array([1e9 if whole and k in lost else ON_PARTS[float(k)] for k in K.ravel()]), []
 
     monkeypatch.setattr(gain, "_judge", judge)
-    monkeypatch.setattr(gain, "_contraction", lambda *_: (0.5, 0.5))
+    monkeypatch.setattr(gain, "_contraction", lambda _, K, __: np.full((2, len(K)), 0.5))
     candidates = {name: np.full((1, 1), K) for name, K in (("none", 0.0), ("lively", 1.0), ("steady", 2.0))}
     lengths = {"train": 50, "val": 50} | {long: SAMPLES + 1}
     records = {name: [record(length)] for name, length in lengths.items()}
@@ -52,7 +52,7 @@ def test_an_observer_that_grows_along_training_is_not_taken(monkeypatch: pytest.
         return np.array([ON_PARTS[float(k)] for k in K.ravel()]), [path]
 
     monkeypatch.setattr(gain, "_judge", judge)
-    F = {40: 0.5, 60: 2.5}  # growth by the length of the path: validation, training
+    F = {2 * 40: 0.5, 2 * 60: 2.5}  # growth by the length of the two candidates' path: validation, training
 
     def jacobians(z: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.full((len(u), 1, 1), F[len(u)]), np.zeros((len(u), 1, 1))
@@ -90,3 +90,32 @@ def test_why_there_is_no_gain_is_told_by_the_rule(found: list[tuple[float, bool,
             assert not any(error < 0.98 for error in able)
     else:
         assert min(able) < 0.98
+
+
+@pytest.mark.parametrize(("L", "b", "s", "m"), [(1, 1, 1, 1), (40, 3, 3, 1), (25, 2, 4, 3)])
+def test_errors_of_another_gain_are_those_of_the_line_and_their_slopes_its_differences(
+    L: int, b: int, s: int, m: int
+) -> None:
+    """ε̃ = ε − H ξ, ξ(k+1) = F ξ + K ε̃ − K₀ ε, sample by sample; of a gain that diverges there are no numbers."""
+    random = np.random.default_rng(s)
+    F, H = 0.3 * random.standard_normal((L, b, s, s)), random.standard_normal((L, b, m, s))
+    K0, K = 0.1 * random.standard_normal((2, s, m))
+    line = gain._Line(K0, F, H, np.empty(0), random.standard_normal((L, b, m)), np.eye(m))
+
+    def plainly(K: np.ndarray) -> np.ndarray:
+        xi, errors = np.zeros((b, s)), np.empty((L, b, m))
+        for k in range(L):
+            errors[k] = line.errors[k] - np.einsum("bij,bj->bi", H[k], xi)
+            xi = np.einsum("bij,bj->bi", F[k], xi) + errors[k] @ K.T - line.errors[k] @ K0.T
+        return errors
+
+    errors, J = gain._errors(line, K)
+    np.testing.assert_allclose(errors, plainly(K), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(gain._errors(line, K0)[0], line.errors, rtol=1e-13)
+    step = 1e-6
+    for j, unit in enumerate(np.eye(s * m)):
+        moved = step * unit.reshape(s, m)
+        slope = (plainly(K + moved) - plainly(K - moved)) / (2 * step)
+        np.testing.assert_allclose(J[..., j], slope, rtol=1e-6, atol=1e-6 * np.abs(J).max() + 1e-300)
+    if L > 1:
+        assert not np.isfinite(gain._errors(line, np.full((s, m), 1e200))[1]).all()
