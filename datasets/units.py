@@ -1,4 +1,4 @@
-"""Units in the names of columns: "y [V]", "level (cm)", and of a time "time_ms"."""
+"""Units in the names of columns: "y [V]", "level (cm)", and of a time "time_ms"; the wording of a p-value."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ _SPELLINGS = {
 }  # fmt: skip
 _UNIT_OF_TIME = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _TIME_ENDING = re.compile(rf"(?:.*[\W_])?({'|'.join(_UNIT_OF_TIME)})", re.IGNORECASE)
+_CAPITALISED = re.compile(rf"(.*[a-z])({'|'.join(word.capitalize() for word in _UNIT_OF_TIME if len(word) > 1)})")
 _TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
 _COUNTS = re.compile(r"samples?|ticks?|steps?|counts?|cycles?|index", re.IGNORECASE)  # in parentheses no words, these
 
@@ -48,7 +49,7 @@ def unit_in(name: str) -> str:
 
 
 def time_unit_in(name: str) -> str:
-    """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms" or "t/h".
+    """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms", "timeMs" or "t/h".
 
     One of `SECONDS`; what stands in the brackets where that is none of time; `NO_UNIT` where there is none.
     """
@@ -57,12 +58,16 @@ def time_unit_in(name: str) -> str:
         unit = found[1] if found[1].lower() in _UNIT_OF_TIME or _COUNTS.fullmatch(found[1]) else NO_UNIT
     if unit == NO_UNIT and (found := _TIME_ENDING.fullmatch(name)):
         unit = found[1]
+    elif unit == NO_UNIT and (found := _CAPITALISED.fullmatch(name)):
+        unit = found[2]
     return _UNIT_OF_TIME.get(unit.lower(), unit)
 
 
 def is_time_name(name: str) -> bool:
-    """Whether a name reads as a time's, as "t", "Time [s]", "date_1"; a temperature's, "T [°C]", does not."""
+    """Whether a name reads as a time's, as "t", "Time [s]", "timeMs"; a temperature's, "T [°C]" or "tMin", does not."""
     unit = time_unit_in(name)
+    if (found := _CAPITALISED.fullmatch(name)) and len(found[1]) > 1:
+        name = found[1]
     of_another_quantity = unit not in SECONDS and _UNIT.fullmatch(unit) is not None
     return _TIME.fullmatch(name) is not None and not of_another_quantity
 
@@ -70,3 +75,8 @@ def is_time_name(name: str) -> bool:
 def titled(name: str, unit: str) -> str:
     """A channel with its unit: once, and where it has one."""
     return name if unit in ("", NO_UNIT) or unit_in(name) == unit else f"{name} [{unit}]"
+
+
+def p_text(p: float) -> str:
+    """A p-value as it is told; 0 is none."""
+    return "p < 1e-16" if p < 1e-16 else f"p = {p:.2g}"

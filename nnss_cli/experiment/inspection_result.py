@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from nnss_cli.datasets.preparation import AGREEMENT, Where, sample
+from nnss_cli.datasets.units import p_text
 from nnss_cli.experiment.inspection_dynamics import LAGS, Feedback
 from nnss_cli.experiment.inspection_order import LARGEST, OrderGuess
 from nnss_cli.experiment.inspection_signals import FEW, Channel, Clock, Copy, Persistency
@@ -302,7 +303,7 @@ def _ties(found: Inspection) -> Iterator[str]:
         if each.p_value is not None and each.gain is not None and each.p_value < SURE and each.gain > WORTH:
             yield (
                 f"Squares, cubes and products foretell {100 * each.gain:.0f} % of what a linear model leaves of "
-                f"'{each.output}' from one sample to the next (p {_chance(each.p_value)}): it is nonlinear."
+                f"'{each.output}' from one sample to the next ({p_text(each.p_value)}): it is nonlinear."
             )
     yield from _feedback(found)
     if found.spectrum is not None:
@@ -317,10 +318,6 @@ def _ties(found: Inspection) -> Iterator[str]:
         yield f"The linear order is at least {LARGEST}, the largest tried: `nnss order` looks further."
 
 
-def _chance(p: float) -> str:
-    return "< 1e-16" if p < 1e-16 else f"= {p:.1g}"
-
-
 def _feedback(found: Inspection) -> Iterator[str]:
     """One remark: for the input that follows outputs most, else for the first pair that goes together at once."""
     untrusted = "Under feedback delays and coherence are not to be trusted, and models fitted here may be biased."
@@ -330,7 +327,7 @@ def _feedback(found: Inspection) -> Iterator[str]:
     if follows:
         p, name, most = min(follows, key=lambda test: test[:2])
         yield (
-            f"Past outputs foretell {percent(most.gain)} of what is new of the input '{name}' (p {_chance(p)}): it "
+            f"Past outputs foretell {percent(most.gain)} of what is new of the input '{name}' ({p_text(p)}): it "
             f"follows them, which is feedback, or both follow something else. {untrusted}"
         )
     elif at_once:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
-from nnss_cli.datasets.units import titled
+from nnss_cli.datasets.units import p_text, titled
 from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
@@ -21,7 +21,6 @@ from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
 from nnss_cli.validation.result import OutputCheck, Validation
-from nnss_cli.validation.verdict import p_text
 
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
 """Where a legend is above its panel: at the right, since the factor of an axis (1e6) stands at the left."""

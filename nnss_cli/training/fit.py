@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
+from nnss_cli.datasets.units import p_text
 from nnss_cli.datasets.windows import SHORTEST, beginnings
 from nnss_cli.errors import InputError
 from nnss_cli.iterative import EpochCallback
@@ -155,7 +156,7 @@ def _gain(name: str, tried: _Judged, best: _Judged) -> str:
         return f"by more than {PAYS:.0%}"
     if error < rival:
         p = chance(tried.squares(), best.squares())
-        return f"by {1 - error / rival:.1%}, hardly by chance (p = {p:.1g})" * pays(error, rival, by_chance=p)
+        return f"by {1 - error / rival:.1%}, hardly by chance ({p_text(p)})" * pays(error, rival, by_chance=p)
     return ""
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.datasets.units import p_text
 from nnss_cli.trained.simulate import Beyond
 from nnss_cli.validation.gain import ALONE, INCREMENTS
 from nnss_cli.validation.linearisation import Linearisations
@@ -211,8 +212,3 @@ def _colour(white: Whiteness) -> str:
     r = white.correlation[: white.lags]
     lag = 0 if abs(r[0]) > white.band else int(np.argmax(np.abs(r)))
     return f"r{lag + 1} = {r[lag]:.2f}"
-
-
-def p_text(value: float) -> str:
-    """A p-value as it is told; 0 is none."""
-    return "p < 1e-16" if value < 1e-16 else f"p = {value:.2g}"

@@ -31,6 +31,8 @@ def test_the_unit_is_what_a_name_ends_in(name: str, unit: str) -> None:
         ("t [ms]", "ms"), ("Time (min)", "min"), ("t(us)", "us"), ("t [µs]", "us"), ("t (μs)", "us"), ("Zeit [h]", "h"),
         ("time [D]", "d"), ("time_ms", "ms"), ("timestamp.ns", "ns"), ("t/s", "s"), ("time in minutes", "min"),
         ("Time (Seconds)", "s"), ("elapsed sec", "s"), ("ms", "ms"), ("log/t_us", "us"),
+        ("timeMs", "ms"), ("timestampSec", "s"), ("log.timeUs", "us"), ("timeH", "–"),
+        ("TIMES", "–"), ("timeLimits", "–"),
         ("t", "–"), ("time", "–"), ("items", "–"), ("times", "–"), ("t_1", "–"), ("t [-]", "–"), ("t (UTC)", "–"),
         ("t [samples]", "samples"), ("t (samples)", "samples"), ("T [°C]", "°C"), ("t (mm)", "mm"),
     ],
@@ -39,6 +41,16 @@ def test_the_unit_of_a_time_is_what_its_name_ends_in(name: str, unit: str) -> No
     assert time_unit_in(name) == unit
     if unit in ("°C", "mm"):  # named as a time, and none
         assert not is_time_name(name)
+
+
+@pytest.mark.parametrize("name", ["t", "Time [s]", "date_1", "timeMs", "timestampSec"])
+def test_a_name_that_is_a_times(name: str) -> None:
+    assert is_time_name(name)
+
+
+@pytest.mark.parametrize("name", ["tMin", "T [°C]", "timer", "times", "flowMin", "TIMER", "tAmb"])
+def test_a_name_that_is_no_times(name: str) -> None:
+    assert not is_time_name(name)
 
 
 def test_a_title_tells_a_unit_once() -> None:

@@ -97,7 +97,7 @@ SIDES = [
      "foretell 2 % of what a linear model leaves of 'y' from one sample to the next (p = 0.009): it is nonlinear."),
     ("linearity 0", {"p_value": 0.0, "gain": 0.0101}, {"p_value": 0.0, "gain": 0.01}, "(p < 1e-16): it is nonlinear."),
     ("excitation 1", {"feedback": Feedback(0.02, 0.0049, 900)}, {"feedback": Feedback(0.02, 0.0051, 900)},
-     "Past outputs foretell 2 % of what is new of the input 'v' (p = 0.005): it follows them, which is feedback, or"),
+     "Past outputs foretell 2 % of what is new of the input 'v' (p = 0.0049): it follows them, which is feedback, or"),
     ("excitation 1", {"feedback": Feedback(0.011, 0.0, 900)}, {"feedback": Feedback(0.01, 0.0, 900)},
      "(p < 1e-16): it follows them"),
     ("delays 0", {"samples": 0}, {"samples": 1},
