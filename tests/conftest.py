@@ -5,7 +5,7 @@ from nnss_cli.machine import prepare
 prepare()  # as the command line does: results must not depend on the number of BLAS threads
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,14 @@ settings.register_profile("nnss", deadline=None, derandomize=True, max_examples=
 settings.load_profile("nnss")
 
 REAL_FILES = folder_of_files()
+
+
+def slow_but(kept: Collection[int], cases: Iterable[Any]) -> list[Any]:
+    """These cases of `parametrize`, of which all but those of these numbers are slow: more of the same."""
+    return [
+        pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=[pytest.mark.slow] * (i not in kept))
+        for i, case in enumerate(cases)
+    ]
 
 
 @pytest.fixture(autouse=True)

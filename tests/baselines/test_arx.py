@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from conftest import slow_but
 from nnss_cli.baselines import arx
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant, steady_estimate, steady_outputs
 from nnss_cli.datasets.record import Record
@@ -20,7 +21,9 @@ def record(random: np.random.Generator, K: int, D: float, r: int = 1, m: int = 1
     return Record(u, y + 0.1 * random.standard_normal(y.shape), 1.0)
 
 
-@pytest.mark.parametrize(("K", "r", "m", "held"), [(300, 1, 1, 1), (300, 2, 3, 1), (600, 1, 1, 20), (40, 1, 1, 1)])
+@pytest.mark.parametrize(
+    ("K", "r", "m", "held"), slow_but((0, 3), [(300, 1, 1, 1), (300, 2, 3, 1), (600, 1, 1, 20), (40, 1, 1, 1)])
+)
 def test_no_feedthrough_is_found_where_there_is_none(K: int, r: int, m: int, held: int) -> None:
     """At most 1 in 100, and some, over 400 records: more than 11 would have a probability below 0.1 %."""
     random = np.random.default_rng(0)

@@ -8,6 +8,7 @@ import ctrlsys
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import slow_but
 from hypothesis import given
 from hypothesis import strategies as st
 from nfoursid.nfoursid import NFourSID
@@ -98,7 +99,9 @@ def test_least_squares_from_triangles() -> None:
     assert inverse_root(np.full((5, 2), 1e200)) is None  # and not a word from NumPy
 
 
-@pytest.mark.parametrize("lengths", [(60,), (400,), (150, 30, 90)])  # 30: too short for the widest horizons
+@pytest.mark.parametrize(
+    "lengths", slow_but((0, 2), [((60,),), ((400,),), ((150, 30, 90),)])
+)  # 30: too short for the widest horizons
 def test_horizons_searched_together_give_what_each_gives_alone(
     system: Callable, monkeypatch: pytest.MonkeyPatch, lengths: tuple[int, ...]
 ) -> None:

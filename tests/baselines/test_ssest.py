@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from nnss_cli.baselines import ssest as module
 from nnss_cli.baselines.n4sid import n4sid, n4sid_candidates
 from nnss_cli.baselines.ssest import criterion_value, refine, ssest
@@ -111,7 +112,7 @@ def test_the_scored_initial_state_is_the_fitted_one(system: Callable, criterion:
     assert values[0] <= criterion_value(start, train, criterion)
 
 
-@pytest.mark.parametrize(("m", "criterion"), [(1, "trace"), (2, "det")])
+@pytest.mark.parametrize(("m", "criterion"), slow_but((0,), [(1, "trace"), (2, "det")]))
 def test_a_long_record_ends_where_a_short_one_would(
     system: Callable, monkeypatch: pytest.MonkeyPatch, m: int, criterion: module.Criterion
 ) -> None:
@@ -148,11 +149,11 @@ def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:
 @pytest.mark.parametrize(
     ("name", "order", "bar"),
     # MATLAB's ssest as the paper prints it; RMS over outputs of RMSE/σ. Other orders: ours, as a guard.
-    [
+    slow_but((0, 1, 2), [
         ("robotarm", 5, 2.756 / 20.8438684339), ("daisy-powerplant", 4, 0.0984), ("twotank", 3, 0.0449 / 0.169017),
         ("robotarm", 4, 0.1399), ("robotarm", 6, 0.1224), ("twotank", 2, 0.1835), ("twotank", 4, 0.1835),
         ("daisy-powerplant", 3, 0.1148), ("daisy-powerplant", 5, 0.0920),
-    ],
+    ]),
 )  # fmt: skip
 def test_the_criterion_is_not_above_matlabs(name: str, order: int, bar: float, mirror: Path) -> None:
     fetch(BENCHMARKS[name], mirror=str(mirror), offline=True)

@@ -131,6 +131,7 @@ def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     assert not list(Path("results").rglob(".tmp-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("weak_adversary")
 def test_a_former_name_is_told_once_and_kept_runs_and_models_of_it_are_todays(nnss: Callable) -> None:
     call = ("compare", "twotank-sim", "--methods", "nnss", "--orders", "2", "--seeds", "1", "--jobs", "1", *QUICK)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import slow_but
 
 import nnss_cli
 
@@ -86,7 +87,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pd.DataFrame
     return {}
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", slow_but((0, 3), FORMATS))
 def test_a_record_in_any_format_is_compared_and_gives_the_same_numbers(
     name: str, nnss: Callable, here: Path, expected: dict[str, pd.DataFrame]
 ) -> None:

@@ -83,6 +83,7 @@ def test_compare_as_csv_and_json_is_the_table_of_its_files(nnss: Callable) -> No
     assert (both.code, both.out) == (2, "")
 
 
+@pytest.mark.slow
 def test_every_command_that_prints_a_table_prints_it_for_machines(nnss: Callable) -> None:
     """The commands are those whose source calls `print_rows`."""
     folder = Path(__file__).parents[2] / "nnss_cli" / "commands"

@@ -39,6 +39,7 @@ def check_schema(content: dict[str, Any]) -> None:
         assert ("bound" in each) <= ((each.get("bound") is not None) == (each["status"] == "proved"))
 
 
+@pytest.mark.slow
 def test_a_folder_of_models_gives_one_table(nnss: Callable) -> None:
     done = nnss(
         "compare", "twotank-sim", "--orders", "2", "--seeds", "1", "--jobs", "1", "--methods", "nnss", "nnss-ensemble",

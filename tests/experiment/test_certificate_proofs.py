@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Record, Scaling
@@ -69,7 +70,7 @@ def interval(reach: float, low: float = -1.0, high: float = 1.0) -> Region:
     return Region(np.zeros(1), np.array([[reach]]), directions(1), np.ones(2), np.array([low]), np.array([high]))
 
 
-@pytest.mark.parametrize("scheduling", ["x", "x+u"])
+@pytest.mark.parametrize("scheduling", slow_but((1,), ["x", "x+u"]))
 @pytest.mark.parametrize("stability", STABILITIES)
 def test_enclosures_hold_the_program_at_every_point(stability: str, scheduling: str) -> None:
     random = np.random.default_rng(3)
@@ -230,6 +231,7 @@ def record(level: float = 1.0, K: int = 60) -> Record:
     return Record(random.uniform(-level, level, (K, 1)), 0.1 * np.ones((K, 1)), 1.0)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_stable_quadratically_and_not_incrementally() -> None:
     pytest.importorskip("cvxpy")
     model = bent()
@@ -266,6 +268,7 @@ def test_no_equilibrium_is_proved_where_there_is_none() -> None:
     assert equilibrium(linear_dynamics(0.5, 1.0, 1.0, 0.0), np.array([7.0]), np.array([1.0])) is not None
 
 
+@pytest.mark.slow
 def test_what_is_proved_of_a_gain_is_reached_by_the_attack() -> None:
     pytest.importorskip("cvxpy")
     model = bent(low=0.2, high=0.5)
@@ -496,7 +499,7 @@ def test_what_an_incremental_layer_has_by_construction_is_said_to_be_proved() ->
             assert (differences.status, differences.bound) == ("unknown", None)
 
 
-@pytest.mark.parametrize(("n", "gain", "gamma"), [(2, 0.0, 0.9), (2, 2.0, 0.9), (6, 0.0, 1.0)])
+@pytest.mark.parametrize(("n", "gain", "gamma"), slow_but((0,), [(2, 0.0, 0.9), (2, 2.0, 0.9), (6, 0.0, 1.0)]))
 def test_an_incremental_layer_gets_a_gain_for_every_input_that_was_not_asked_for(
     n: int, gain: float, gamma: float
 ) -> None:

@@ -120,6 +120,7 @@ def check_bound(seed: int, gamma: float, scale: float, scheduling: str, dtype: s
         assert np.linalg.norm(x, axis=1).max() <= limit
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("weak_adversary")
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])  # the patch stays the same
 @given(*BOUNDED)

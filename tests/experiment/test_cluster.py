@@ -195,6 +195,7 @@ def test_it_is_an_executor_as_the_others_are(cluster: Cluster, method: Path, tmp
         faults.obey(executor, Task(spec), events, store)
 
 
+@pytest.mark.slow
 def test_files_that_go_with_their_worker_before_they_came_are_made_again(
     cluster: Cluster, method: Path, tmp_path: Path
 ) -> None:
@@ -218,6 +219,7 @@ def test_files_that_go_with_their_worker_before_they_came_are_made_again(
     assert sum(event.waits_for == "compiling" for event in events) == 2  # done twice
 
 
+@pytest.mark.slow
 def test_limits_hold_there_as_here_and_the_worker_stays(
     cluster: Cluster, method: Path, tmp_path: Path, nnss: Callable
 ) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 import sweep_faults as faults
+from conftest import slow_but
 from nnss_cli.datasets.catalog import load
 
 from nnss_cli import files
@@ -72,7 +73,7 @@ def outcome(line: list[str], **more: object) -> subprocess.CompletedProcess[str]
 
 @pytest.mark.parametrize(
     ("number", "target", "phase"),
-    [
+    slow_but((0, 4, 6), [
         (signal.SIGINT, "group", "fit"),
         (signal.SIGINT, "parent", "start"),
         (signal.SIGTERM, "parent", "write"),
@@ -81,8 +82,8 @@ def outcome(line: list[str], **more: object) -> subprocess.CompletedProcess[str]
         (signal.SIGKILL, "group", "write"),
         (signal.SIGKILL, "worker", "write"),
         (signal.SIGTERM, "worker", "start"),
-    ],
-)
+    ]),
+)  # fmt: skip
 def test_a_signal_ends_it_or_costs_nothing_and_the_same_command_goes_on(
     number: signal.Signals, target: str, phase: str, method: Path, tmp_path: Path
 ) -> None:
@@ -134,14 +135,14 @@ def test_a_killed_worker_is_replaced_and_its_run_tried_once_more(method: Path, t
 
 @pytest.mark.parametrize(
     ("mode", "limits", "status", "words"),
-    [
+    slow_but((0, 4), [
         ("kill", [], "crashed", "its process ended twice (SIGKILL: out of memory, or killed by hand)"),
         ("fault", [], "crashed", "TypeError: a fault of the method"),
         ("allocate", [], "memory", "Unable to allocate"),
         ("memory", ["--memory-limit", "0.7"], "memory", "more than the 0.7 of --memory-limit"),
         ("sleep", ["--time-limit", "0.5"], "timeout", "took longer than the 0.5 s of --time-limit"),
-    ],
-)
+    ]),
+)  # fmt: skip
 def test_a_lost_run_is_a_row_with_its_reason_and_the_sweep_goes_on(
     mode: str, limits: list[str], status: str, words: str, method: Path, tmp_path: Path, nnss: Callable
 ) -> None:
@@ -381,7 +382,7 @@ def mounts() -> bool:
         return False
 
 
-@pytest.mark.parametrize("kilobytes", [*(pytest.param(size, marks=pytest.mark.slow) for size in (40, 350)), 900])
+@pytest.mark.parametrize("kilobytes", [*(pytest.param(size, marks=pytest.mark.slow) for size in (40, 350, 900))])
 def test_a_full_file_system_loses_nothing_and_is_one_line(kilobytes: int, method: Path, tmp_path: Path) -> None:
     """A real one, too small for a run, for six, or for the figures of six; then one with room."""
     if not mounts():

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import slow_but
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment import index
@@ -138,7 +139,7 @@ FAULTS: list[tuple[Callable[[dict], object], str]] = [
 
 
 @pytest.mark.parametrize(("change", "words"), FAULTS)
-@pytest.mark.parametrize("command", ["compare", "report"])
+@pytest.mark.parametrize("command", slow_but((1,), ["compare", "report"]))
 def test_what_is_wrong_is_named_left_out_and_never_overwritten(
     command: str, change: Callable[[dict], object], words: str, store: Store, nnss: Callable
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -391,7 +392,7 @@ def test_nonlinearity_test_sees_squares_and_cubes(power: int) -> None:
     assert found.gain > 0.1
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("n", slow_but((1, 3), [1, 2, 3, 4]))
 def test_order_guess_is_right_in_four_of_five_systems(n: int) -> None:
     """Modes that all matter: poles on a circle of radius 0.8, 1 % noise power."""
     right = 0
@@ -443,7 +444,7 @@ def recommended(u: FloatArray, y: FloatArray) -> tuple[Any, ...]:
     return split.rule, split.train, split.val, split.test, found.init_window, found.orders
 
 
-@pytest.mark.parametrize(("rest", "rule"), [(2000, "60/20/20"), (1190, "50/30/20"), (990, "40/40/20")])
+@pytest.mark.parametrize(("rest", "rule"), slow_but((0,), [(2000, "60/20/20"), (1190, "50/30/20"), (990, "40/40/20")]))
 def test_what_the_test_part_holds_changes_no_recommendation(rest: int, rule: str) -> None:
     """A delay of its own, other levels, rest, missing and huge samples; for each split that may be recommended."""
     u = np.random.default_rng(1).standard_normal((2000, 2))

@@ -5,8 +5,15 @@ import pytest
 from nnss_cli.methods import METHODS
 from nnss_cli.testing import MethodLaws
 
+OF_MEMBERS = [name for name, method in METHODS.built_in.items() if method.members]
+# of those that are made of others' runs one will do: they differ in a rule alone
+SUBJECTS = [
+    pytest.param(method, id=name, marks=[pytest.mark.slow] * (name in OF_MEMBERS[1:]))
+    for name, method in METHODS.built_in.items()
+]
 
-@pytest.mark.parametrize("subject", METHODS.built_in.values(), ids=METHODS.built_in)
+
+@pytest.mark.parametrize("subject", SUBJECTS)
 class TestBuiltIn(MethodLaws):
     """Every method of nnss itself, as plug-ins are tested."""
 

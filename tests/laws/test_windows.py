@@ -1,11 +1,12 @@
 """What every method must obey at every init window: one input, several, experiments of different length."""
 
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import linear_system
+from conftest import linear_system, slow_but
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
 
@@ -21,8 +22,7 @@ WINDOWS = (1, 4, 50)
 
 pytestmark = [
     pytest.mark.parametrize("name", METHODS),
-    pytest.mark.parametrize("kind", KINDS),
-    pytest.mark.parametrize("window", WINDOWS),
+    pytest.mark.parametrize(("kind", "window"), slow_but((0, 2, 4, 8), product(KINDS, WINDOWS))),
 ]
 
 

@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from nnss_cli.baselines import kernels as linear_kernels
 from nnss_cli.datasets.record import Channels, Scaling
 from numba import njit
@@ -23,6 +24,7 @@ from nnss_cli.training import feedback_kernels, lure_kernels, lure_matrices
 from nnss_cli.training.engine import ReferenceEngine, training_loss
 from nnss_cli.training.fast import FastEngine, Weights
 from nnss_cli.training.recipe import Recipe
+from nnss_cli.validation import gain_kernels
 
 
 def make(architecture: Architecture, saturation: float = 0.0, seed: int = 0) -> NNSS:
@@ -107,7 +109,8 @@ def test_gradients_agree_in_float32(
 
 
 @pytest.mark.parametrize(
-    ("scheduling", "stability"), [*((each, "schur") for each in SCHEDULING), ("x", "quadratic"), ("x", "none")]
+    ("scheduling", "stability"),
+    slow_but((0, 4), [*((each, "schur") for each in SCHEDULING), ("x", "quadratic"), ("x", "none")]),
 )
 def test_a_hundred_steps_agree(scheduling: str, stability: str) -> None:
     a = Architecture(3, 2, 1, (8, 8), (4,), scheduling, dtype="float64", stability=stability)
@@ -193,7 +196,9 @@ def test_kernels_are_whole_in_one_file(module: ModuleType) -> None:
             assert thing.py_func.__module__ == module.__name__, name
 
 
-@pytest.mark.parametrize("module", [kernels, linear_kernels, feedback_kernels, lure_kernels, lure_matrices])
+@pytest.mark.parametrize(
+    "module", [kernels, linear_kernels, feedback_kernels, lure_kernels, lure_matrices, gain_kernels]
+)
 def test_what_is_kept_of_a_kernel_is_all_of_it(module: ModuleType) -> None:
     """A part that is no entry point is inlined: else last bits depend on who compiled it, as the slow test shows."""
     found = [thing for thing in vars(module).values() if hasattr(thing, "targetoptions")]

@@ -105,6 +105,7 @@ def use_text(text: str, path: Path) -> None:
     use([read_source(write(path, text))])
 
 
+@pytest.mark.slow
 def test_a_file_brings_methods_with_seeds_a_combination_and_a_kind_of_model(nnss: Callable, tmp_path: Path) -> None:
     """In worker processes too, which are started afresh."""
     path = write(tmp_path / "static.py", STATIC)

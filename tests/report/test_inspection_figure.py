@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -53,7 +54,7 @@ def texts(figure: Figure) -> Iterator[tuple[str, Bbox]]:
 
 
 @pytest.mark.parametrize(
-    ("r", "m", "names"), [(1, 1, False), (2, 2, True), (0, 1, False), (1, 0, False), (8, 7, False)]
+    ("r", "m", "names"), slow_but(range(4), [(1, 1, False), (2, 2, True), (0, 1, False), (1, 0, False), (8, 7, False)])
 )
 def test_no_text_overlaps_or_leaves_the_figure(r: int, m: int, names: bool) -> None:
     figure = report.draw_inspection(record(r, m, names), "a record, with a title that is not short at all")

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import slow_but
 
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
 from nnss_cli.experiment.store import Store
@@ -145,7 +146,7 @@ def study(random: np.random.Generator, records: int, orders: int, methods: int) 
 
 @pytest.mark.parametrize(
     ("records", "orders", "methods"),
-    [(3, 3, 6), (3, 3, 7), (5, 2, 2), (6, 3, 2), (7, 3, 7), (9, 3, 6), (20, 3, 7), (20, 1, 3)],
+    slow_but((0, 3, 7), [(3, 3, 6), (3, 3, 7), (5, 2, 2), (6, 3, 2), (7, 3, 7), (9, 3, 6), (20, 3, 7), (20, 1, 3)]),
 )
 def test_where_nothing_differs_the_report_says_so_in_19_of_20_studies(
     records: int, orders: int, methods: int, monkeypatch: pytest.MonkeyPatch

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from conftest import slow_but
 from nnss_cli.baselines.ssest import ssest, ssest_by_validation
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
 from nnss_cli.datasets.record import Dataset, FittingData, FloatArray, Record, Scaling
@@ -512,13 +513,13 @@ def test_what_the_encoder_sees_makes_no_record_a_short_one(small_data: Callable)
 
 @pytest.mark.parametrize(
     ("errors", "told", "taken"),
-    [
+    slow_but((0, 2), [
         ((1.0, 1.0, 1.0, 0.5), ["feedthrough", "integrator", "integrator and feedthrough"], True),
         ((1.0, 1.0, 0.5, 0.3), ["feedthrough", "integrator", "integrator and feedthrough"], True),
         ((1.0, 1.0, 0.5, 0.45), ["feedthrough", "integrator", "integrator and feedthrough"], False),
         ((1.0, 0.5, 1.0, 0.3), ["feedthrough", "feedthrough with integrator"], True),
-    ],
-)
+    ]),
+)  # fmt: skip
 def test_an_integrator_is_tried_with_a_feedthrough_that_alone_is_no_help(
     small_data: Callable, monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], told: list[str], taken: bool
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
 
@@ -135,7 +136,9 @@ def random_cascade(seed: int, radius: float = 0.9, strength: float = 1.0, n: int
     return Cascade(PlainArrays(A, B, F, G, np.zeros((q, 1)), b, C, D, np.zeros((1, q))), first, np.zeros((n, 1)))
 
 
-@pytest.mark.parametrize(("gamma", "strength"), [(1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (0.91, 0.1), (0.91, 1.0)])
+@pytest.mark.parametrize(
+    ("gamma", "strength"), slow_but((2, 4), [(1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (0.91, 0.1), (0.91, 1.0)])
+)
 def test_there_is_a_basis_in_which_a_cascade_of_stable_parts_contracts(gamma: float, strength: float) -> None:
     """However strong the units: their slopes enter no eigenvalue of A(x)."""
     for seed in range(20):

@@ -220,6 +220,7 @@ def test_a_linear_plant_gets_no_feedback() -> None:
     assert found is None or np.abs(found[0].F).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_robot_arm_gains_by_it(mirror: Path) -> None:
     """SSEST has 2.664 on validation; `nnss train robotarm --order 5` gave 2.61."""
     data = robotarm.load(mirror / "RobotArm.mat", "paper").fitting

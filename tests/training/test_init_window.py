@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import slow_but
 from nnss_cli.baselines import ssest as ssest_module
 from nnss_cli.baselines.n4sid import n4sid_auto, n4sid_candidates
 from nnss_cli.baselines.statespace import LinearStateSpace, simulation_rms
@@ -45,7 +46,9 @@ def scored(model: object, dataset: Dataset, split: str) -> float:
     return next(s.rmse for s in scores if s.split == split) / dataset.fitting.scaling.y_std[0]
 
 
-@pytest.mark.parametrize("settings", [{}, {"initial": "linear", "optimiser": "adam"}, {"engine": "reference"}])
+@pytest.mark.parametrize(
+    "settings", slow_but((0, 1), [{}, {"initial": "linear", "optimiser": "adam"}, {"engine": "reference"}])
+)
 @pytest.mark.parametrize("name", ["nnss", "nnss-paper", "simba"])
 def test_the_validation_error_of_an_epoch_is_the_score(name: str, settings: dict, windowed: Dataset) -> None:
     method, data = METHODS[name], windowed.fitting

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
+import pytest
 from nnss_cli.datasets.catalog import load
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "validation.md"
@@ -15,6 +16,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_examples_run(nnss: Callable) -> None:
     (commands,), (program,) = blocks("sh"), blocks("python")
     dataset = load("twotank-sim", "strict")
