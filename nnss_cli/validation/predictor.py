@@ -14,14 +14,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.methods import Model
-from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.trained.simulate import require_finite
 from nnss_cli.validation.disturbance import Disturbance
 from nnss_cli.validation.guard import prior_strength, weights
-from nnss_cli.validation.stepping import CHUNK, Stepper, steppers_of
+from nnss_cli.validation.stepping import CHUNK, Linear, Stepper
+
+
+def steppers_of(model: Model) -> tuple[Stepper, ...]:
+    """The members of an ensemble, or the one system that a model is. For linear models torch is not loaded.
+
+    Raises:
+        InputError: the model is of a plug-in's kind, which has no step to look at.
+    """
+    return tuple(_stepper(member) for member in getattr(model, "members", (model,)))
+
+
+def _stepper(model: Model) -> Stepper:
+    if isinstance(model, LinearModel):
+        return Linear(model)
+    from nnss_cli.model.nnss import NNSS
+    from nnss_cli.validation.neural import Neural
+
+    if isinstance(model, NNSS):
+        return Neural(model)
+    raise InputError(
+        f"expected an NN-SS or linear model, or an ensemble of them, found {type(model).__name__}: of other kinds only "
+        "the simulation is known, not the step"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +76,8 @@ class Predictor:
 
     def together(self, each: FloatArray) -> FloatArray:
         """What is predicted at each horizon (horizons, K, m), from what each member does (horizons, members, K, m)."""
-        if isinstance(self.model, Ensemble):
-            return np.stack([self.model.together(at_one) for at_one in each])
-        return np.asarray(each[:, 0])
+        together = getattr(self.model, "together", None)  # an ensemble's rule
+        return np.stack([together(at_one) for at_one in each]) if together else np.asarray(each[:, 0])
 
     def predict_each(
         self, u: FloatArray, y: FloatArray, horizons: Sequence[int | None], init_window: int = 1

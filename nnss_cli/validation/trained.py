@@ -16,8 +16,7 @@ from nnss_cli.trained.simulate import Simulated, require_finite
 from nnss_cli.validation.adaptive import AdaptiveBand, adapt
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain, growth_along
-from nnss_cli.validation.predictor import Guard, Predictor
-from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.predictor import Guard, Predictor, steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
 

@@ -13,8 +13,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods.linear import subspace_model
 from nnss_cli.validation.bands import calibrate, memory
 from nnss_cli.validation.gain import estimate_gain
-from nnss_cli.validation.predictor import Predictor
-from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.predictor import Predictor, steppers_of
 from nnss_cli.validation.trained import Limits
 
 

@@ -15,8 +15,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.report import simulation
 from nnss_cli.validation.disturbance import Increments
 from nnss_cli.validation.gain import ALONE, Gain, _beats_persistence, estimate_gain
-from nnss_cli.validation.predictor import Predictor, step_table
-from nnss_cli.validation.stepping import steppers_of
+from nnss_cli.validation.predictor import Predictor, step_table, steppers_of
 
 Signals = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -1,5 +1,7 @@
 """Predictors: K = 0, causality, time invariance, the gain that made the data, persistence on real records."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -20,11 +22,11 @@ from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.ensemble import Ensemble
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.trained import TrainedModel
-from nnss_cli.validation import stepping
+from nnss_cli.validation import neural as neural_module
 from nnss_cli.validation.disturbance import Disturbance, Increments, constant
 from nnss_cli.validation.gain import ALONE, _candidates, _contraction, estimate_gain
-from nnss_cli.validation.predictor import Predictor, persistence, step_table
-from nnss_cli.validation.stepping import Stepper, steppers_of
+from nnss_cli.validation.predictor import Predictor, persistence, step_table, steppers_of
+from nnss_cli.validation.stepping import Stepper
 
 HORIZONS = (1, 2, 5, 10, 20)
 
@@ -72,8 +74,8 @@ def test_along_a_hundred_samples_an_observer_steps_in_compiled_code(
     disturbed = [plain.disturbed(constant_of(plain)) for plain in steppers_of(model)]
     starts = [each.start(each.model.simulate(u[:1], y[:1]).x[0], y[0], u[0]) for each in disturbed]
     by_torch: list[int] = []
-    own = stepping.Neural.step
-    monkeypatch.setattr(stepping.Neural, "step", lambda *at: by_torch.append(1) or own(*at))
+    own = neural_module.Neural.step
+    monkeypatch.setattr(neural_module.Neural, "step", lambda *at: by_torch.append(1) or own(*at))
     found = Predictor(model, gains(model, 0.0)).predict(u, y, 1)
     tolerance = 1e-4 if getattr(model, "dtype", None) is torch.float32 else 1e-9
     np.testing.assert_allclose(found, model.simulate(u, y[:1]).y, rtol=tolerance, atol=tolerance)
@@ -428,3 +430,19 @@ def test_one_step_ahead_it_beats_persistence_on_real_records(name: str, order: i
         assert (table.predicted[0] < 0.9 * table.persistence[0]).all()
         assert (table.predicted[0] < table.simulated).all()
     assert (found.origin == ALONE) == (name == "daisy-powerplant")
+
+
+def test_of_a_linear_model_nothing_needs_torch() -> None:
+    """Which takes two seconds to load: a third of a validation."""
+    code = """import sys
+import nnss_cli.report.validation
+from nnss_cli.methods import select
+from nnss_cli.testing import small_dataset
+from nnss_cli.trained import TrainedModel
+from nnss_cli.validation.trained import forecaster
+dataset = small_dataset(K=450)
+model = TrainedModel(select(["n4sid"])[0].fit(dataset.fitting, 2, 0, {"horizon": "matlab"}, None).model)
+(test,) = dataset.tests["test"]
+forecaster(model, dataset.fitting.train[0]).predict(test, 3)
+assert "torch" not in sys.modules"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -13,7 +13,7 @@ from nnss_cli.datasets.record import Dataset, Record, Scaling
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
 from nnss_cli.validation.gain import ALONE, INCREMENTS, estimate_gain
-from nnss_cli.validation.predictor import Predictor
+from nnss_cli.validation.predictor import Predictor, steppers_of
 from nnss_cli.validation.residuals import (
     LEVEL,
     autocovariance,
@@ -22,7 +22,6 @@ from nnss_cli.validation.residuals import (
     profile,
     whiteness,
 )
-from nnss_cli.validation.stepping import steppers_of
 
 
 def coloured(pole: float, samples: int, seed: int) -> np.ndarray:
