@@ -401,6 +401,20 @@ def test_an_observer_that_forgets_at_once_has_no_rate() -> None:
     np.testing.assert_allclose(radii, [0, 2])
 
 
+def test_each_observer_has_the_rate_of_its_own_path() -> None:
+    """F(k) = z(k) + u(k), a number: the rate is its geometric mean, the radius the largest, over the worse record."""
+    random = np.random.default_rng(0)
+    paths = [(random.uniform(0.1, 1, (N, 3, 1)), random.uniform(0.1, 1, (N, 1))) for N in (20, 30)]
+    system = SimpleNamespace(
+        size=1, jacobians=lambda z, u: ((z + u)[:, :, None], np.ones((len(z), 1, 1)))
+    )  # fmt: skip
+    K = np.array([0.0, 0.05, -0.2]).reshape(3, 1, 1)
+    rates, radii = _contraction(system, K, paths)  # type: ignore[arg-type]
+    closed = [np.abs(z[:, :, 0] + u - K.ravel()) for z, u in paths]
+    np.testing.assert_allclose(rates, np.max([np.exp(np.log(F).mean(axis=0)) for F in closed], axis=0))
+    np.testing.assert_allclose(radii, np.max([F.max(axis=0) for F in closed], axis=0))
+
+
 def test_persistence_repeats_what_was_measured() -> None:
     y = np.arange(6.0)[:, None]
     np.testing.assert_array_equal(persistence(y, 2)[:, 0], [0, 0, 0, 1, 2, 3])
