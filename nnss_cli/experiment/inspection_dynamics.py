@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 import scipy.special
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -59,7 +58,7 @@ def welch(parts: Sequence[FloatArray], inputs: int, flatten: bool = True) -> Spe
     if not flatten:
         filters[:, 1:] = 0  # of the same length, so that the lines are the same
     order = filters.shape[1] - 1
-    flat = [scipy.signal.lfilter(A, 1.0, part[:, i])[order:] for part in parts for i, A in enumerate(filters)]
+    flat = [np.convolve(part[:, i], A)[order : len(part)] for part in parts for i, A in enumerate(filters)]
     c = len(filters)
     parts = [np.stack(flat[i : i + c], axis=1) for i in range(0, len(flat), c)]
     total, longest = sum(map(len, parts)), max(map(len, parts))
