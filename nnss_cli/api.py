@@ -9,12 +9,14 @@ model = study.best()              # by validation; the test has no say
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 import pandas as pd
 
 from nnss_cli.datasets.description import Description
@@ -126,10 +128,12 @@ def compare(
         2
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
-    if seeds < 1 or jobs < 1:
-        raise InputError(f"seeds and jobs: expected at least 1, found {seeds} and {jobs}")
+    seeds, jobs = _whole("seeds", seeds, 1), _whole("jobs", jobs, 1)
+    if isinstance(methods, str):
+        raise InputError(f"methods: expected a list of names, found '{methods}': write ['{methods}']")
     chosen = select(list(methods or ()))
-    return _studied(prepared, chosen, prepared.orders_or(orders), range(seeds), settings, out, jobs, force)
+    own = None if orders is None else [_whole("orders", order, 1) for order in _several("orders", orders)]
+    return _studied(prepared, chosen, prepared.orders_or(own), range(seeds), settings, out, jobs, force)
 
 
 def fit(
@@ -172,6 +176,7 @@ def fit(
     """
     prepared = _prepared(data, protocol, mirror, offline, record)
     (chosen, *_) = select([method])
+    order, seed = _whole("order", order, 1), _whole("seed", seed, 0)
     study = _studied(prepared, [chosen], [order], [seed], settings, out, 1, force)
     wanted = (method, order, seed if chosen.seeded else 0)
     result = next(r for r in study.results if (r.spec.method, r.spec.order, r.spec.seed) == wanted)
@@ -211,6 +216,28 @@ def _prepared(data: Source, protocol: str, mirror: str | None, offline: bool, re
             )
         return Ready(data, ())
     return ready(_names(data), protocol, mirror, offline, _described(record))
+
+
+def _whole(name: str, value: Any, least: int) -> int:
+    """A whole number, NumPy's too: what is kept in a run's name and found again by it.
+
+    Raises:
+        InputError: it is none, or below `least`.
+    """
+    try:
+        found = None if isinstance(value, bool | np.bool_) else operator.index(value)
+    except TypeError:
+        found = None
+    if found is None or found < least:
+        raise InputError(f"{name}: expected a whole number of at least {least}, found {value!r:.60}")
+    return found
+
+
+def _several(name: str, values: Any) -> list[Any]:
+    try:
+        return [*values]
+    except TypeError as error:
+        raise InputError(f"{name}: expected a list of whole numbers, found {values!r:.60}") from error
 
 
 def _studied(
@@ -264,4 +291,10 @@ def _changes(methods: Sequence[Method], settings: Mapping[str, Any] | None) -> d
 
 
 def _names(files: str | Path | Sequence[str | Path]) -> list[str]:
-    return [str(files)] if isinstance(files, str | Path) else [str(file) for file in files]
+    names = [files] if isinstance(files, str | Path) else [*files]
+    if isinstance(files, pd.DataFrame | np.ndarray) or not all(isinstance(name, str | Path) for name in names):
+        raise InputError(
+            f"data: expected a benchmark's name or files, found {type(files).__name__}: write it to a file first, or "
+            "make a Dataset of it"
+        )
+    return [str(name) for name in names]

@@ -91,9 +91,22 @@ def test_inspect_says_what_the_command_says(plant: str) -> None:
     ("arguments", "told"),
     [
         ({"inputs": ["v"]}, "has no column 'v'"),
-        ({"seeds": 0}, "expected at least 1, found 0"),
+        ({"seeds": 0}, "seeds: expected a whole number of at least 1, found 0"),
+        ({"seeds": [3]}, r"seeds: expected a whole number of at least 1, found \[3\]"),
+        ({"seeds": 2.0}, "seeds: expected a whole number of at least 1, found 2.0"),
+        ({"jobs": 0}, "jobs: expected a whole number of at least 1, found 0"),
+        ({"orders": 2}, "orders: expected a list of whole numbers, found 2"),
+        ({"orders": [2.0]}, "orders: expected a whole number of at least 1, found 2.0"),
+        ({"orders": [True]}, "orders: expected a whole number of at least 1, found True"),
+        ({"orders": [0]}, "orders: expected a whole number of at least 1, found 0"),
+        ({"orders": ["2"]}, "orders: expected a whole number of at least 1, found '2'"),
         ({"methods": ["magic"]}, "unknown method 'magic'"),
-        ({"settings": {"widths": 3}}, "settings 'widths': no chosen method"),
+        ({"methods": "n4sid"}, r"methods: expected a list of names, found 'n4sid': write \['n4sid'\]"),
+        (
+            {"settings": {"widths": 3}},
+            r"settings 'widths': no chosen method \(n4sid\) has .*, nor has any other: choose from horizon",
+        ),
+        ({"settings": {"horizons": 3}}, "nor has any other: did you mean 'horizon'?"),
         ({"settings": {"n4sid.widths": 3}}, "unknown setting 'n4sid.widths': choose from n4sid.horizon"),
         ({"columns": ["u"]}, "unknown argument 'columns': what describes a record is name"),
         ({"orders": None}, "plant has no usual orders"),
@@ -106,6 +119,31 @@ def test_wrong_arguments_are_one_line(arguments: dict, told: str, plant: str) ->
         nnss_cli.compare(plant, **given)
     assert "\n" not in str(error.value)
     assert not Path("results/plant/own/runs").exists()
+
+
+@pytest.mark.parametrize("arguments", [
+    {"order": 2.0}, {"order": [2]}, {"order": True}, {"order": "2"}, {"seed": -1}, {"seed": 1.0},
+])  # fmt: skip
+def test_an_order_or_seed_that_is_no_whole_number_leaves_nothing_behind(arguments: dict, plant: str) -> None:
+    """Its run would have had a name under which no later call finds it, and which spoils the folder."""
+    given = {"order": 2, "method": "n4sid", "inputs": ["u"], "outputs": ["y"], "Ts": 0.1} | arguments
+    with pytest.raises(InputError, match=f"{next(iter(arguments))}: expected a whole number of at least"):
+        nnss_cli.fit(plant, **given)
+    assert not Path("results/plant/own/runs").exists()
+
+
+def test_numpys_whole_numbers_are_some(plant: str) -> None:
+    record = {"inputs": ["u"], "outputs": ["y"], "Ts": 0.1}
+    study = nnss_cli.compare(plant, orders=np.arange(1, 3), seeds=np.int64(1), methods=["n4sid"], **record)
+    assert [result.spec.order for result in study.results] == [1, 2]
+    assert nnss_cli.fit(plant, np.int64(2), seed=np.int64(0), method="n4sid", **record).order == 2
+
+
+def test_a_table_is_no_file() -> None:
+    for data in (pd.DataFrame({"u": [1.0]}), np.ones((3, 2)), [1, 2]):
+        told = f"data: expected a benchmark's name or files, found {type(data).__name__}"
+        with pytest.raises(InputError, match=told):
+            nnss_cli.fit(data, 2)
 
 
 def test_a_dataset_has_it_all() -> None:

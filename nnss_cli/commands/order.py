@@ -44,8 +44,11 @@ def command(
     rows = order_table(data.fitting, largest, chosen_by)
     chosen = suggest_order(rows)
     require_writable(folder)
-    title = f"{data.name}, protocol {data.protocol}: N4SID by order (RMSE/σ, horizon {chosen_by})"
+    measure = "RMSE/σ" if data.fitting.output_count == 1 else "RMS over outputs of RMSE/σ"
+    title = f"{data.name}, protocol {data.protocol}: N4SID by order ({measure}, horizon {chosen_by})"
     print_rows(order_rows(rows, chosen), title, text_columns=1)
+    if len(rows) < largest:
+        console.print(f"Orders up to {len(rows)}: the model behind the Hankel singular values has no more states.")
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
     written = write_orders(rows, chosen, folder, title)
     for path in written:

@@ -103,6 +103,8 @@ def ablate(
         raise unknown("study", study, STUDIES)
     found = []
     method = METHODS["nnss"]
+    for option in set.intersection(*map(set, STUDIES[study].values())) & for_method(overrides, method.name).keys():
+        raise InputError(f"{option}: each variant of the study '{study}' has one of its own: leave it out")
     given = {name: for_method(overrides, method.name) | change for name, change in STUDIES[study].items()}
     refused = _refused(method, dataset, orders, given)
     for name, changed in given.items():

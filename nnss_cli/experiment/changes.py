@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from nnss_cli.errors import InputError
+from nnss_cli.errors import InputError, nearest
 from nnss_cli.methods import METHODS, Method, select
 from nnss_cli.methods.options import Option, options_of
 
@@ -31,10 +31,15 @@ def gathered(
     for option in flags:
         if not any(option in _options(METHODS[name]) for name in running):
             owners = [name for name, method in METHODS.all_usable().items() if option in _options(method)]
-            raise InputError(
-                f"{flag_of[option]}: no chosen method ({', '.join(running)}) has the option '{option}'; "
-                f"{', '.join(owners)} {'has' if len(owners) == 1 else 'have'} it"
-            )
+            told = f"{flag_of[option]}: no chosen method ({', '.join(running)}) has the option '{option}'"
+            if not owners:
+                valid = list(dict.fromkeys(own for name in running for own in _options(METHODS[name])))
+                meant = nearest(option, valid)
+                raise InputError(
+                    f"{told}, nor has any other: "
+                    + (f"did you mean '{meant}'?" if meant else f"choose from {', '.join(valid)}")
+                )
+            raise InputError(f"{told}; {', '.join(owners)} {'has' if len(owners) == 1 else 'have'} it")
     changes = dict(flags)
     for assignment in assignments:
         option, value = _assigned(assignment, tuple(running))

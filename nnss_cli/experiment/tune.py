@@ -114,6 +114,11 @@ def tune(
     method = METHODS["nnss"]
     overrides = for_method(overrides, method.name)
     shortest = min(len(record) for record in data.train)
+    if overrides.get("judge", "validation") != "validation":
+        raise InputError(
+            f"judge: tune compares trials epoch by epoch on validation, found {overrides['judge']}: leave --judge out, "
+            "and give it to the training of the best one"
+        )
     if {"hidden", "encoder", "window", "consistency", "learning_rate", "batch"} <= overrides.keys():
         raise InputError("tune: every option that it searches is given; leave one of them out, or use 'nnss train'")
     about = {
@@ -162,7 +167,7 @@ def tune(
         fit = method.fit(data, order, seed, settings, after_epoch)
         if fit.diverged:
             raise ValueError(fit.diverged)
-        return best
+        return min(fit.history.get("val_rmse", ()), default=best)  # of the candidate taken alone
 
     study.optimize(
         objective, n_trials=trials, catch=NUMERICAL,

@@ -47,7 +47,7 @@ class Training:
     remarks: tuple[str, ...] = ()
     """What a reader of the result must know of the start and what came of it."""
     candidates: dict[str, float] = field(default_factory=dict)
-    """Name of a candidate → validation error after the first stage, where there were several."""
+    """Name of a candidate → its error after the first stage, by which it was judged, where there were several."""
 
 
 def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:

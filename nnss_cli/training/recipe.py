@@ -117,6 +117,11 @@ class Recipe:
                 f"integrator: the fast engine trains one by gauss-newton alone, found optimiser {self.optimiser}"
                 f"{' and refine' * (self.refine > 0)}: take gauss-newton, or --engine reference"
             )
+        if self.gain and self.stability != "incremental":
+            raise InputError(
+                f"gain: expected stability incremental, which can promise one, found {self.stability}: give "
+                "--stability incremental"
+            )
         if not self.budget >= 0:
             raise InputError(f"budget: expected seconds, or 0 for no bound, found {self.budget}")
         if self.threads not in (1, 2):

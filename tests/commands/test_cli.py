@@ -175,6 +175,26 @@ def test_order_selection(nnss: Callable) -> None:
     assert list(table["order"]) == [1, 2, 3, 4]
     assert table["suggested"].sum() == 1
     assert Path("results/twotank-sim/paper/order.png").stat().st_size > 10_000
+    assert "by order (RMSE/σ, horizon" in outcome.out
+    assert "Orders up to" not in outcome.out
+    more = nnss("order", "twotank-sim", "--max-order", "100")
+    assert (more.code, f"Orders up to {len(pd.read_csv('results/twotank-sim/paper/order.csv'))}: " in more.out) == (
+        0,
+        True,
+    )
+
+
+def test_orders_of_several_outputs_are_compared_by_what_is_said(nnss: Callable) -> None:
+    """By the RMS over outputs, where other tables take the mean."""
+    random = np.random.default_rng(0)
+    u = random.standard_normal(400)
+    y = np.stack([np.convolve(u, 0.8 ** np.arange(9))[:400], np.roll(u, 1)], axis=1) + 0.1 * random.normal(
+        size=(400, 2)
+    )
+    pd.DataFrame({"u": u, "y": y[:, 0], "z": y[:, 1]}).to_csv("two.csv", index=False)
+    done = nnss("order", "two.csv", "--inputs", "u", "--outputs", "y", "z", "--ts", "1", "--max-order", "2")
+    assert done.code == 0, done.err
+    assert "by order (RMS over outputs of RMSE/σ, horizon" in " ".join(done.out.split())
 
 
 def test_the_paper_protocol_of_the_robot_arm_scores_no_test(nnss: Callable, mirror: Path) -> None:

@@ -357,6 +357,8 @@ def test_statements_of_linear_models_are_exact_and_those_of_unstable_ones_refute
     found = of(0.9)
     assert {each.status for each in found.statements} == {"proved"}
     assert [each.name for each in found.statements] == ["frozen", "quadratic", "state", "incremental"]
+    assert found.statement("quadratic").claim.endswith(" for u = 0")  # under u = 1 it grows from x(0) = 0
+    assert found.statement("quadratic").holds_for == "every x(0)"
     assert found.gain == found.incremental_gain
     assert found.gain.bound == pytest.approx(10, rel=1e-5)
     assert found.gain.bound_physical == pytest.approx(10 / 8, rel=1e-5)

@@ -271,3 +271,23 @@ def test_rest_is_among_the_inputs_of_every_claim(
     assert state.holds_for == f"x(0) = 0, inputs within {said} (the records' range)"
     assert state.value is not None
     assert 1 / (1 - 0.8**2) <= state.value <= 1.2 / (1 - 0.8**2)  # reached by an end and rest in turn
+
+
+@pytest.mark.parametrize(
+    ("pairs", "told"),
+    [
+        ([0.2717, 0.1], "after 60 samples a distance was 0.2717 times what it began with, at most"),
+        ([], "no pair stayed finite for 60 samples"),
+    ],
+)
+def test_what_pairs_of_trajectories_came_to_is_told_as_it_is(
+    pairs: list[float], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A distance that shrank did not grow."""
+    found = [SimpleNamespace(growth=growth) for growth in pairs]
+    monkeypatch.setattr(searched.attack, "widest_pair", lambda *_: found)
+    monkeypatch.setattr(searched, "two_equilibria", lambda *_: None)
+    system = SimpleNamespace(in_elementary_operations=lambda: None, run=None)
+    statement = searched._pairs(system, None, np.zeros(1), np.ones(1), 1.0)  # type: ignore[arg-type]
+    assert (statement.status, statement.value) == ("unknown", None)
+    assert statement.how == f"attack on pairs: no two equilibria under one input were found; {told}"

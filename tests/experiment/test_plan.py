@@ -478,5 +478,8 @@ def test_a_study_runs_its_switches_and_shows_what_was_asked_for(store: Store, mo
     fewer, _ = study((2,), (1, 2))
     assert [(r.spec.order, r.spec.seed) for r in fewer.results] == [(2, 1), (2, 2)]
     assert planned_[2:] == [("plain", 1), ("short", 1)]
+    monkeypatch.setattr(ablation, "STUDIES", {"mine": {"plain": {"epochs": 2}, "short": {"epochs": 3}}})
+    with pytest.raises(InputError, match="epochs: each variant of the study 'mine' has one of its own: leave it out"):
+        study((2,), (0,))
     with pytest.raises(InputError, match="study"):
         ablation.ablate(store, DATA, "none", (1,), (0,), {}, 1, lambda *_: None, lambda _: None, lambda _: None)

@@ -3,6 +3,7 @@
 import json
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,23 @@ def search(
 def test_a_trial_is_worth_its_best_epoch(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable) -> None:
     found, _ = search(monkeypatch, tmp_path, small_data().fitting, {}, [3.0, 1.0, 2.0])
     assert [trial.val_rmse for trial in found] == [1.0] * 3
+
+
+def test_a_trial_is_worth_the_candidate_taken_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable
+) -> None:
+    """Epochs of what was tried and not taken are reported, too."""
+    fit, history = Pretending.fit, {"val_rmse": [3.0, 2.0], "val_rmse, as it is": [1.0]}
+    monkeypatch.setattr(Pretending, "fit", lambda *args: replace(fit(*args), history=history))
+    found, _ = search(monkeypatch, tmp_path, small_data().fitting, {}, [3.0, 2.0, 1.0])
+    assert [trial.val_rmse for trial in found] == [2.0] * 3
+
+
+def test_trials_are_not_judged_by_blocks(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable) -> None:
+    """Their epochs are of models trained on other parts, judged on what the trial itself trains on."""
+    with pytest.raises(InputError, match="judge: tune compares trials epoch by epoch on validation, found blocks"):
+        search(monkeypatch, tmp_path, small_data().fitting, {"judge": "blocks"}, [1.0])
+    assert not (tmp_path / "study.db").exists()
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from nnss_cli.training import recipe as recipe_module
 from nnss_cli.training.attempt import Attempt, Clock
 from nnss_cli.training.candidates import STRETCHES, blocks, chance, pays, pooled, worth_trying
 from nnss_cli.training.fit import stages, train_nnss
-from nnss_cli.training.recipe import Recipe, recipe_of
+from nnss_cli.training.recipe import JUDGES, Recipe, recipe_of
 from nnss_cli.training.warm import LinearStart, linear_start
 
 RECIPE = Recipe(
@@ -419,6 +419,10 @@ def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch
         assert training.model.architecture.hidden == ((4,) * 4 if taken else (12,))
         assert training.candidates == {"as it is": 1.0, "cold start": cold}
         assert ("cold start taken: it lowers the validation error by more than 20%" in training.remarks) == taken
+        kept = [METHODS["nnss"].fit(data, 2, 0, {**vars(recipe), "judge": judge}, None).history for judge in JUDGES]
+        assert [{*each} - {"train_loss", "val_rmse"} for each in kept] == [
+            {f"{error}, as it is", f"{error}, cold start"} for error in ("val_rmse", "block_rmse")
+        ]
         by_blocks = train_nnss(data, 2, 0, recipe.replace(judge="blocks"))
         assert by_blocks.candidates == pytest.approx({"as it is": 1.0, "cold start": cold})
         assert ("cold start taken: it lowers the error over 2 blocks by more than 20%" in by_blocks.remarks) == taken

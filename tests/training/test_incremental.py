@@ -165,7 +165,10 @@ def test_commands(nnss: Callable, tmp_path: Path) -> None:
         (("--stability", "incremental", "--recipe", "paper", "--hidden", "8", "8"), "expected one hidden layer"),
         (("--stability", "incremental", "--gain", "-1"), "gain: expected a positive bound"),
         (("--stability", "incremental", "--gain", "3", "--integrator", "yes"), "gain: expected no integrator"),
-        (("--gain", "3"), "gain: expected stability incremental"),
+        (
+            ("--gain", "3"),
+            "expected stability incremental, which can promise one, found auto: give --stability incremental",
+        ),
     ],
 )
 def test_what_does_not_go_together_is_one_line(options: tuple, told: str, nnss: Callable) -> None:

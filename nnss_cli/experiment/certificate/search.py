@@ -359,6 +359,9 @@ def _pairs(system: Neural, dynamics: Dynamics, low: FloatArray, high: FloatArray
             "of these numbers (Krawczyk's test), so that their distance stays"
         )
         return Statement("incremental", "refuted", TOGETHER, float(np.linalg.norm(found.first - found.second)), "", how)
-    growth = f"{pairs[0].growth:.4g}" if pairs else "nothing finite"
-    how = f"attack on pairs: no two equilibria under one input were found; the distance grew at most by {growth}"
-    return Statement("incremental", "unknown", TOGETHER, None, "", f"{how} over {attack.PAIR_HORIZON} samples")
+    how = "attack on pairs: no two equilibria under one input were found; " + (
+        f"after {attack.PAIR_HORIZON} samples a distance was {pairs[0].growth:.4g} times what it began with, at most"
+        if pairs
+        else f"no pair stayed finite for {attack.PAIR_HORIZON} samples"
+    )
+    return Statement("incremental", "unknown", TOGETHER, None, "", how)

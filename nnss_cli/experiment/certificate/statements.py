@@ -59,7 +59,7 @@ def of_one_matrix(system: LinearStateSpace, input_bound: float) -> tuple[Stateme
     bound = float(np.linalg.norm(S, 2)) * reach * input_bound / (1 - rate) * (1 + 1e-9)
     return (
         Statement("frozen", "proved", claim, radius, "every x", how),
-        Statement("quadratic", "proved", falls("V(x) = ‖S⁻¹x‖²", rate, "²"), rate, EVERY, how),
+        Statement("quadratic", "proved", falls("V(x) = ‖S⁻¹x‖²", rate, "²") + " for u = 0", rate, "every x(0)", how),
         Statement("state", "proved", f"‖x(k)‖ ≤ {bound:.6g}", bound, "x(0) = 0 and inputs within their range", how),
         Statement(
             "incremental", "proved", falls("‖S⁻¹(x1 − x2)‖", rate), rate, EVERY,
