@@ -4,11 +4,13 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from html_runs import HOSTILE, HOSTILE_FOLDER, make_runs
 
 from nnss_cli.report.build import write_report
+from nnss_cli.report.html import candidates
 from nnss_cli.report.html.page import write_html
 from nnss_cli.report.tables import FREE
 
@@ -71,3 +73,20 @@ def test_several_outputs_and_small_folders(tmp_path: Path, size: int) -> None:
     assert ("mean over outputs [m]</td>" in text) == (size > 1)
     assert f"Errors are those of {FREE}." in text
     assert f"RMSE in physical units of {FREE}." in write_report(tmp_path).read_text(encoding="utf-8")
+
+
+def test_candidates_say_what_their_errors_are_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    histories = {
+        0: {"val_rmse": [0.3], "val_rmse, as it is": [0.25], "val_rmse, cold start": [0.5]},
+        1: {"val_rmse": [0.3], "block_rmse, as it is": [0.125], "block_rmse, cold start": [0.5]},
+        2: {"val_rmse": [0.3]},
+    }
+    monkeypatch.setattr(candidates, "history_of", lambda _, result: histories[result.spec.seed])
+    runs = [
+        SimpleNamespace(epochs=1, remarks=(), spec=SimpleNamespace(order=2, method="nnss", seed=seed))
+        for seed in histories
+    ]
+    rows = candidates.candidate_rows(None, runs)  # type: ignore[arg-type]
+    assert [(row["seed"], row["over"], row["as it is"]) for row in rows] == [
+        ("0", "validation", "0.25"), ("1", "blocks", "0.125"),
+    ]  # fmt: skip
