@@ -115,14 +115,13 @@ class NNSS(Method):
         recipe = Recipe(**{name: value for name, value in settings.items() if name != "recipe"})
         training = train_nnss(data, order, seed, recipe, on_epoch)
         usual = recipe_of(str(settings.get("recipe", "best")).partition(",")[0], data.presets, order).window
-        judged_by = "block_rmse" if recipe.judge == "blocks" else "val_rmse"
         return Fit(
             None if training.diverged else training.model,
             epochs=training.epochs,
             best_epoch=training.best_epoch,
             diverged=training.diverged,
             history={"train_loss": training.train_loss, "val_rmse": training.val_rmse}
-            | {f"{judged_by}, {name}": [error] for name, error in training.candidates.items()},
+            | {f"{training.judged_by}, {name}": [error] for name, error in training.candidates.items()},
             remarks=(*shortened(data.train, recipe.window, usual), *training.remarks),
         )
 

@@ -48,6 +48,8 @@ class Training:
     """What a reader of the result must know of the start and what came of it."""
     candidates: dict[str, float] = field(default_factory=dict)
     """Name of a candidate → its error after the first stage, by which it was judged, where there were several."""
+    judged_by: str = "val_rmse"
+    """What that error is: on validation, or "block_rmse" over blocks of training and validation."""
 
 
 def build_engine(model: NNSS, u: Sequence[FloatArray], y: Sequence[FloatArray], recipe: Recipe) -> Engine:
@@ -166,8 +168,8 @@ class Attempt:
             a.integrator, self.recipe.threads,
         )  # fmt: skip
 
-    def training(self, further: tuple[str, ...], candidates: dict[str, float]) -> Training:
-        """What came of it, with the best weights in the model, and `further` remarks."""
+    def training(self, further: tuple[str, ...], candidates: dict[str, float], judged_by: str) -> Training:
+        """What came of it, with the best weights in the model, `further` remarks and what else was tried."""
         watch, remarks = self.watch, self.remarks
         if self.start != "random" and watch.best_epoch == 0 and not watch.diverged:
             refused = (
@@ -188,6 +190,7 @@ class Attempt:
             watch.errors,
             remarks + further,
             candidates,
+            judged_by,
         )
 
 

@@ -144,7 +144,8 @@ def train_nnss(
     if unfinished or clock.up:
         left = f", without {', '.join(unfinished)}" if unfinished else ""
         remarks += (f"stopped by the budget of {recipe.budget:g} s{left}",)
-    return taken.training(remarks, errors if len(errors) > 1 else {})
+    judged_by = "block_rmse" if len(parts) > 1 else "val_rmse"
+    return taken.training(remarks, errors if len(errors) > 1 else {}, judged_by)
 
 
 def _gain(name: str, tried: _Judged, best: _Judged) -> str:

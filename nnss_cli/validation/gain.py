@@ -416,10 +416,11 @@ def _contraction(
     for z, u in paths:
         finite = np.isfinite(z).all(axis=(0, 2))
         rates[~finite] = radii[~finite] = np.inf
-        N, c, s = z[:, finite].shape
+        path = z[:, finite]
+        N, c, s = path.shape
         if c == 0:
             break
-        F, H = system.jacobians(z[:, finite].reshape(N * c, s), np.repeat(u, c, axis=0))
+        F, H = system.jacobians(path.reshape(N * c, s), np.repeat(u, c, axis=0))
         closed = F.reshape(N, c, s, s) - K[finite] @ H.reshape(N, c, -1, s)
         radii[finite] = np.maximum(radii[finite], np.abs(np.linalg.eigvals(closed)).max(axis=(0, 2)))
         product, growth = np.broadcast_to(np.eye(s), (c, s, s)), np.zeros(c)

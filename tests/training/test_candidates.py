@@ -423,6 +423,8 @@ def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch
         assert [{*each} - {"train_loss", "val_rmse"} for each in kept] == [
             {f"{error}, as it is", f"{error}, cold start"} for error in ("val_rmse", "block_rmse")
         ]
+        longer = replace(data, val=(*data.val, *data.val, *data.val))  # training has no block of that length
+        assert train_nnss(longer, 2, 0, recipe.replace(judge="blocks")).judged_by == "val_rmse"
         by_blocks = train_nnss(data, 2, 0, recipe.replace(judge="blocks"))
         assert by_blocks.candidates == pytest.approx({"as it is": 1.0, "cold start": cold})
         assert ("cold start taken: it lowers the error over 2 blocks by more than 20%" in by_blocks.remarks) == taken

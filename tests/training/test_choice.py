@@ -55,8 +55,8 @@ class Candidates:
             if on_epoch:
                 on_epoch(1, 0.5, 0.25)
 
-        def end(remarks: tuple[str, ...], candidates: dict[str, float]) -> Any:
-            return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates)
+        def end(remarks: tuple[str, ...], candidates: dict[str, float], judged_by: str) -> Any:
+            return SimpleNamespace(taken=one, remarks=remarks, candidates=candidates, judged_by=judged_by)
 
         one.train, one.training, one.squares = go, end, lambda: np.array([one])
         one.epochs = lambda stage: recipe.epochs - stage
