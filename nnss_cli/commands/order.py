@@ -50,7 +50,7 @@ def command(
     if len(rows) < largest:
         console.print(f"Orders up to {len(rows)}: the model behind the Hankel singular values has no more states.")
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
-    written = write_orders(rows, chosen, folder, title)
+    written = write_orders(rows, chosen, folder, measure, title)
     for path in written:
         console.print(str(path), soft_wrap=True, highlight=False)
     emit("end", suggested=chosen, files=[str(path) for path in written])

@@ -118,7 +118,7 @@ def _listed(title: str, lines: Sequence[str]) -> list[str]:
     return [f"{title}:\n\n" + "\n".join(f"- {line}" for line in lines)] if lines else []
 
 
-def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str) -> list[Path]:
+def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, measure: str, title: str) -> list[Path]:
     """Write order.csv and order.png of an order selection."""
     table = pd.DataFrame([vars(row) | {"suggested": row.order == chosen} for row in rows])
     write_text(folder / "order.csv", table.to_csv(index=False, lineterminator="\n"))
@@ -128,6 +128,7 @@ def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, title: str
         [row.train for row in rows],
         [row.val for row in rows],
         chosen,
+        measure,
         title,
     )
     figures.save_figure(figure, folder / "order.png")

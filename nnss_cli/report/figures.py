@@ -156,6 +156,7 @@ def draw_orders(
     train: Sequence[float | None],
     val: Sequence[float | None],
     chosen: int,
+    measure: str,
     title: str,
 ) -> Figure:
     """Hankel singular values and errors by order, the suggested order marked.
@@ -166,6 +167,7 @@ def draw_orders(
         train: training error of each, normalised; None where there is no model.
         val: validation error of each.
         chosen: the suggested order.
+        measure: what the errors are.
         title: of the figure.
     """
     with plt.rc_context(STYLE):
@@ -180,8 +182,8 @@ def draw_orders(
             right.plot(
                 *zip(*known, strict=True), color=colour, linestyle=line, marker=marker, markersize=4, label=label
             )
-        right.set_ylabel("RMSE/σ of the simulation [–]")
-        right.set_ylim(bottom=0)
+        right.set_ylabel(f"{measure} [–]")
+        right.set_ylim(0, 1.08 * right.dataLim.ymax)
         right.axvline(chosen, color="black", linewidth=0.8, linestyle=":", label=f"suggested: {chosen}")
         right.legend()
         for panel in (left, right):

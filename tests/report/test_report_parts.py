@@ -87,7 +87,7 @@ def test_a_study_names_its_switch_unit_and_seeds(result: Callable, tmp_path: Pat
 
 def test_orders_are_written_with_the_suggested_one_marked(tmp_path: Path) -> None:
     rows = [OrderRow(1, 1.0, 0.5, 0.6), OrderRow(2, 0.25, 0.4, None)]
-    files = build.write_orders(rows, 2, tmp_path, "orders of plant")
+    files = build.write_orders(rows, 2, tmp_path, "RMSE/σ", "orders of plant")
     assert files == [tmp_path / "order.csv", tmp_path / "order.png"]
     assert all(path.stat().st_size for path in files)
     table = pd.read_csv(tmp_path / "order.csv")
