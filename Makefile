@@ -17,7 +17,7 @@ PAGE ?=
 NNSS := $(BIN)/nnss
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo testdata test test-slow test-page soak mutants lint format docs reproduce studies benchmarks bench clean
+.PHONY: help install demo testdata test test-system test-slow test-page soak mutants lint format docs reproduce studies benchmarks bench clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -43,10 +43,13 @@ demo: install ## A small comparison on the embedded plant: no download, a few mi
 testdata: install
 	@$(BIN)/python tests/real_files.py .testdata
 
-test: install testdata ## Run the tests (slow ones are left out)
+test: install testdata ## Run the quick tests
 	$(BIN)/python -m pytest -q -n 2 $(ARGS)
 
-test-slow: install testdata ## Run the slow tests too
+test-system: install testdata ## Run whole commands, trainings, proofs and sweeps, as CI does
+	$(BIN)/python -m pytest -q -n 2 -m "system and not slow" $(ARGS)
+
+test-slow: install testdata ## Run all tests, the slow ones too
 	$(BIN)/python -m pytest -q -n 2 -m "slow or not slow" $(ARGS)
 
 # Its browser comes from the npm registry, or is the one that NNSS_BROWSER names. PAGE=results/report.html: that page.

@@ -33,7 +33,9 @@ def run_tests(root: Path, args: Sequence[str], plugin: Any, log: Path, timeout: 
                 sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
             sys.modules["__main__"] = types.ModuleType("__main__")  # workers must not load this file
             del sys.modules["real_files"]  # the copy's
-            code = int(pytest.main(["-q", "--tb=short", "-p", "no:cacheprovider", *args], plugins=[plugin]))
+            code = int(
+                pytest.main(["-q", "-m", "not slow", "--tb=short", "-p", "no:cacheprovider", *args], plugins=[plugin])
+            )
         finally:
             sys.stdout.flush()
             os._exit(code)

@@ -18,6 +18,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 BLOCK = re.compile(r"```(python|sh)\n(.*?)```", re.DOTALL)
 
 
+@pytest.mark.system
 def test_the_examples_of_the_api_run(nnss: Callable) -> None:
     data = small_dataset(K=450)
     records = [*data.fitting.train, *data.fitting.val, *data.tests["test"]]

@@ -124,6 +124,7 @@ def test_help_loads_nothing_heavy(args: tuple[str, ...]) -> None:
     assert not loaded_by(*args) & {"torch", "matplotlib", "scipy", "pandas"}
 
 
+@pytest.mark.system
 def test_report_loads_no_torch(tmp_path: Path, nnss: Callable) -> None:
     """With runs of every kind of model to report on."""
     out = str(tmp_path / "results")
@@ -138,6 +139,7 @@ def test_report_loads_no_torch(tmp_path: Path, nnss: Callable) -> None:
     assert "torch" not in loaded
 
 
+@pytest.mark.system
 def test_wheel_installs_only_the_package(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, ROOT],

@@ -21,6 +21,7 @@ def record(random: np.random.Generator, K: int, D: float, r: int = 1, m: int = 1
     return Record(u, y + 0.1 * random.standard_normal(y.shape), 1.0)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("K", "r", "m", "held"), slow_but((0, 3), [(300, 1, 1, 1), (300, 2, 3, 1), (600, 1, 1, 20), (40, 1, 1, 1)])
 )
@@ -137,6 +138,7 @@ def test_its_standard_error_is_that_over_many_records_of_such_a_model() -> None:
     assert 0.8 < np.std(scores) < 1.5
 
 
+@pytest.mark.system
 def test_a_record_that_moves_around_its_means_keeps_them() -> None:
     """A nonlinear plant under noise: 3 in 1000 would be the level; over 7 of 400 have a probability below 0.1 %."""
     random = np.random.default_rng(5)

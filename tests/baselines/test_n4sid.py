@@ -99,6 +99,7 @@ def test_least_squares_from_triangles() -> None:
     assert inverse_root(np.full((5, 2), 1e200)) is None  # and not a word from NumPy
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "lengths", slow_but((0, 2), [((60,),), ((400,),), ((150, 30, 90),)])
 )  # 30: too short for the widest horizons

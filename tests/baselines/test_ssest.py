@@ -31,6 +31,7 @@ def sensitivities(problem: module._Problem, point: module._Point, Q: np.ndarray)
     return blocks[:, :, :-1].transpose(2, 0, 1), blocks[:, :, -1]
 
 
+@pytest.mark.system
 def test_one_signal_in_three_units_is_identified(system: Callable) -> None:
     """Its errors have a covariance of rank one, of which rounding leaves an indefinite inverse."""
     plant = LinearStateSpace(*system(2, 1, 1, seed=2), 1.0)
@@ -83,6 +84,7 @@ def test_basis_directions_do_not_change_the_outputs(system: Callable) -> None:
     assert np.abs(along).max() < 1e-9 * np.abs(J).max()
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("n", "r", "m"), [(1, 1, 1), (2, 1, 1), (3, 2, 1), (3, 1, 3), (6, 2, 2)])
 def test_a_known_system_is_recovered_without_noise(system: Callable, n: int, r: int, m: int) -> None:
     plant = LinearStateSpace(*system(n, r, m, seed=n, radius=0.8), 1.0)
@@ -146,6 +148,7 @@ def test_an_unstable_start_is_returned_as_it_is(system: Callable) -> None:
     assert refine(start, (record,)) is start
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("name", "order", "bar"),
     # MATLAB's ssest as the paper prints it; RMS over outputs of RMSE/σ. Other orders: ours, as a guard.

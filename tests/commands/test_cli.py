@@ -44,6 +44,7 @@ def test_version_and_help(nnss: Callable) -> None:
         assert "Example: nnss " + command in " ".join(outcome.out.split())
 
 
+@pytest.mark.system
 def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     pytest.importorskip("optuna")
     few = ("--stride", "100", "--epochs", "2")  # windows, whatever their batches
@@ -62,6 +63,7 @@ def test_tune_goes_on_where_it_stopped(nnss: Callable) -> None:
     assert "instead of" in refused.err
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "study", ["class", *(pytest.param(name, marks=pytest.mark.slow) for name in ("recipe", "stability"))]
 )
@@ -109,6 +111,7 @@ def test_fetch_list_several_and_from(nnss: Callable, mirror: Path) -> None:
     assert "twotank.mat" in outcome.out
 
 
+@pytest.mark.system
 def test_train_then_compare_uses_the_run(nnss: Callable) -> None:
     outcome = nnss("train", "twotank-sim", "--order", "2", "--seed", "0", *QUICK)
     assert outcome.code == 0, outcome.err
@@ -184,6 +187,7 @@ def test_order_selection(nnss: Callable) -> None:
     )
 
 
+@pytest.mark.system
 def test_orders_of_several_outputs_are_compared_by_what_is_said(nnss: Callable) -> None:
     """By the RMS over outputs, where other tables take the mean."""
     random = np.random.default_rng(0)
@@ -271,6 +275,7 @@ def test_a_truncated_file_is_refused(nnss: Callable, mirror: Path, tmp_path: Pat
     assert not own_cache.exists()
 
 
+@pytest.mark.system
 def test_ctrl_c_keeps_finished_runs_and_says_how_to_go_on(tmp_path: Path) -> None:
     command = [
         sys.executable, "-m", "nnss_cli", "compare", "twotank-sim", "--orders", "2", "--seeds", "3",

@@ -87,6 +87,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pd.DataFrame
     return {}
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", slow_but((0, 3), FORMATS))
 def test_a_record_in_any_format_is_compared_and_gives_the_same_numbers(
     name: str, nnss: Callable, here: Path, expected: dict[str, pd.DataFrame]
@@ -101,6 +102,7 @@ def test_a_record_in_any_format_is_compared_and_gives_the_same_numbers(
     assert "valve" in Path("results/plant/own/runs/n4sid-n1-s0/run.json").read_text()
 
 
+@pytest.mark.system
 def test_units_in_names_reach_every_table(nnss: Callable, here: Path) -> None:
     """Brackets are no markup and colons no pictures; columns of our own tables keep their units too."""
     names = {"valve": "valve [%]", "pump": "pump [bar]", "level": "level :up: [cm]"}
@@ -117,6 +119,7 @@ def test_units_in_names_reach_every_table(nnss: Callable, here: Path) -> None:
     assert trained.out.count("level :up: [cm] [mm]") == 3
 
 
+@pytest.mark.system
 def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) -> None:
     write_csv(plant(0), here / "plant.csv")
     outcome = nnss("inspect", "plant.csv", "--outputs", "level", "--output-units", "mm", "--write", "plant.toml")
@@ -144,6 +147,7 @@ def test_inspect_writes_a_description_that_compares(nnss: Callable, here: Path) 
     assert [c["unit"] for c in found["channels"]] == ["–", "–", "mm"]
 
 
+@pytest.mark.system
 def test_inspect_shows_and_writes_what_it_is_given(nnss: Callable, here: Path) -> None:
     write_csv(plant(0).assign(level=lambda table: table["level"] + 0.1 * table["t"]), here / "plant.csv")
     outcome = nnss(
@@ -162,6 +166,7 @@ def test_inspect_shows_and_writes_what_it_is_given(nnss: Callable, here: Path) -
         assert f"\n{line}\n" in text
 
 
+@pytest.mark.system
 def test_every_option_of_a_record_is_in_the_description_that_inspect_writes(nnss: Callable, here: Path) -> None:
     from nnss_cli.datasets.description import read_description
 
@@ -184,6 +189,7 @@ def test_every_option_of_a_record_is_in_the_description_that_inspect_writes(nnss
         assert found == ({"test": value} if field == "test" else value), field
 
 
+@pytest.mark.system
 def test_a_quiet_inspection_says_in_the_description_what_it_guessed(nnss: Callable, here: Path) -> None:
     write_csv(plant(0).assign(spare=np.nan, shift="late"), here / "plant.csv")
     outcome = nnss("inspect", "plant.csv", "--time", "t", "--write", "plant.toml", "--quiet")
@@ -221,6 +227,7 @@ def test_options_go_before_the_description(nnss: Callable, here: Path) -> None:
     assert [len(signals[f"{split}/0/y"]) for split in ("train", "val", "test")] == [96, 72, 72]
 
 
+@pytest.mark.system
 def test_other_samples_are_not_mixed_in_under_the_same_name(nnss: Callable, here: Path) -> None:
     write_csv(plant(0), here / "plant.csv")
     assert nnss("compare", "plant.csv", *ROLES, "--methods", "n4sid", "--orders", "1").code == 0
@@ -230,6 +237,7 @@ def test_other_samples_are_not_mixed_in_under_the_same_name(nnss: Callable, here
     assert "another version of the data" in refused.err
 
 
+@pytest.mark.system
 def test_own_data_take_searched_horizons_and_order_and_compare_agree(nnss: Callable, here: Path) -> None:
     write_csv(plant(0), here / "plant.csv")
     assert nnss("compare", "plant.csv", *ROLES, "--methods", "n4sid", "--orders", "2").code == 0

@@ -81,6 +81,7 @@ def test_a_folder_of_models_gives_one_table(nnss: Callable) -> None:
     assert "model.json" in refused.err
 
 
+@pytest.mark.system
 def test_wrong_json_is_no_certificate(nnss: Callable) -> None:
     assert nnss("train", "twotank-sim", "--order", "2", "--stability", "none", *QUICK).code == 0
     content = json.loads(nnss("certify", "results", *FAST, "--json").out)

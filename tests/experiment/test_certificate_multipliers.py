@@ -60,6 +60,7 @@ def test_without_units_gain_and_rate_are_those_of_a_linear_model() -> None:
     assert radius <= slowest.number <= radius + 0.01
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_proved_holds_at_all_slopes_and_is_close_to_what_they_reach(seed: int) -> None:
     pytest.importorskip("cvxpy")

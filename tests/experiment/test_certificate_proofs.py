@@ -70,6 +70,7 @@ def interval(reach: float, low: float = -1.0, high: float = 1.0) -> Region:
     return Region(np.zeros(1), np.array([[reach]]), directions(1), np.ones(2), np.array([low]), np.array([high]))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("scheduling", slow_but((1,), ["x", "x+u"]))
 @pytest.mark.parametrize("stability", STABILITIES)
 def test_enclosures_hold_the_program_at_every_point(stability: str, scheduling: str) -> None:
@@ -196,6 +197,7 @@ def test_the_region_of_a_linear_model_is_its_reachable_set() -> None:
         assert ((z @ found.normals.T) <= found.offsets * (1 + 1e-9)).all()
 
 
+@pytest.mark.system
 def test_a_storage_function_bounds_the_gain_and_no_smaller_one_is_proved() -> None:
     # x+ = a x + u, y = x + d u: the gain is 1/(1 − a) + d, reached by held inputs
     dynamics = linear_dynamics(0.9, 1.0, 1.0, 0.5)
@@ -501,6 +503,7 @@ def test_what_an_incremental_layer_has_by_construction_is_said_to_be_proved() ->
             assert (differences.status, differences.bound) == ("unknown", None)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("n", "gain", "gamma"), slow_but((0,), [(2, 0.0, 0.9), (2, 2.0, 0.9), (6, 0.0, 1.0)]))
 def test_an_incremental_layer_gets_a_gain_for_every_input_that_was_not_asked_for(
     n: int, gain: float, gamma: float

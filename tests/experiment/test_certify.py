@@ -77,6 +77,7 @@ def test_products_of_schur_matrices_can_grow() -> None:
     assert np.abs(np.linalg.eigvals(SWITCHED[0] @ SWITCHED[1])).max() == pytest.approx(4)
 
 
+@pytest.mark.system
 def test_a_schur_model_diverges_without_input_and_under_quadratic_it_cannot() -> None:
     weights = Weights(switching("schur"))
     _, x = weights.free_run(np.zeros((60, 1)), np.ones(1))
@@ -138,6 +139,7 @@ def test_forty_models_stay_inside_the_printed_bound_under_the_whole_adversary(
     check_bound(seed, gamma, scale, scheduling, dtype, starts)
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("weak_adversary")
 @pytest.mark.parametrize("splits", [("train", "train"), ("train", "test")])
 def test_the_bound_covers_the_initial_state_of_every_record(splits: tuple[str, str]) -> None:
@@ -249,6 +251,7 @@ def test_other_models_and_empty_data_are_refused() -> None:
         certify(random_model(0, "schur", 1.0), {"train": ()})
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("weak_adversary")
 def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     trained = nnss(
@@ -275,6 +278,7 @@ def test_the_command(nnss: Callable, tmp_path: Path) -> None:
     assert nnss("certify", "nowhere").code == 2
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("weak_adversary")
 def test_of_an_integrators_model_the_lpv_part_is_promised_and_the_rest_is_not() -> None:
     plain = random_model(0, "quadratic", 0.9, scale=1.0)

@@ -146,6 +146,7 @@ def scores(out: Path) -> list[tuple]:
     return [(r.spec, r.status, r.scores, r.history) for r in Store(out, "twotank-sim", "paper").results()]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "names", [("trivial", "n4sid"), pytest.param(("trivial", "nnss", "nnss-ensemble"), marks=pytest.mark.slow)]
 )
@@ -184,6 +185,7 @@ def test_a_cluster_gives_the_numbers_of_this_machine(
     assert not faults.leftovers(tmp_path / "away")
 
 
+@pytest.mark.system
 def test_it_is_an_executor_as_the_others_are(cluster: Cluster, method: Path, tmp_path: Path) -> None:
     cluster.workers.pop().kill()
     store = Store(tmp_path / "out", "twotank-sim", "paper")
@@ -264,6 +266,7 @@ def test_a_run_that_kills_its_workers_is_a_row(cluster: Cluster, method: Path, t
     assert found == {0: ("ok", ""), 1: ("crashed", "its worker was lost 4 times")}
 
 
+@pytest.mark.system
 def test_a_scheduler_that_is_killed_is_a_clear_end(cluster: Cluster, method: Path, tmp_path: Path) -> None:
     line = faults.command(
         method, tmp_path / "out", "--executor", "dask", "--scheduler", cluster.address, seeds=6, hold="fit",
@@ -334,6 +337,7 @@ def test_a_slow_network_changes_nothing_and_one_that_is_cut_is_a_clear_end(
     assert not faults.leftovers(tmp_path / "cut")
 
 
+@pytest.mark.system
 def test_nobody_there_and_workers_that_would_count_otherwise(
     cluster: Cluster, method: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

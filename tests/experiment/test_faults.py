@@ -71,6 +71,7 @@ def outcome(line: list[str], **more: object) -> subprocess.CompletedProcess[str]
     return subprocess.run(line, capture_output=True, text=True, timeout=60, **more)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("number", "target", "phase"),
     slow_but((0, 4, 6), [
@@ -112,6 +113,7 @@ def test_a_signal_ends_it_or_costs_nothing_and_the_same_command_goes_on(
     assert not faults.leftovers(out)
 
 
+@pytest.mark.system
 def test_workers_end_with_a_killed_parent_in_the_midst_of_a_fit(method: Path, tmp_path: Path) -> None:
     """Not only when they next listen to it."""
     marks = tmp_path / "marks"
@@ -133,6 +135,7 @@ def test_a_killed_worker_is_replaced_and_its_run_tried_once_more(method: Path, t
     assert (marks / "fit-2").read_text() == "x"
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("mode", "limits", "status", "words"),
     slow_but((0, 4), [
@@ -163,6 +166,7 @@ def test_a_lost_run_is_a_row_with_its_reason_and_the_sweep_goes_on(
     assert "∞" in (tmp_path / "out" / faults.RECORD / "rmse.md").read_text()
 
 
+@pytest.mark.system
 def test_retry_failed_tries_again_what_another_limit_may_better(method: Path, tmp_path: Path, nnss: Callable) -> None:
     marks = tmp_path / "marks"
     marks.mkdir()
@@ -197,6 +201,7 @@ def test_dry_run_tells_the_plan_and_the_time_and_touches_nothing(method: Path, t
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.system
 def test_more_than_a_day_is_asked_for_and_more_than_a_folder_holds_refused(
     method: Path, tmp_path: Path, nnss: Callable
 ) -> None:
@@ -222,6 +227,7 @@ def test_more_than_a_day_is_asked_for_and_more_than_a_folder_holds_refused(
     assert time.monotonic() - began < 5
 
 
+@pytest.mark.system
 def test_two_commands_on_one_folder_share_the_work_and_both_finish(method: Path, tmp_path: Path) -> None:
     marks, out = tmp_path / "marks", tmp_path / "out"
     marks.mkdir()
@@ -305,6 +311,7 @@ def test_a_lock_is_held_by_one_and_leaves_nothing(tmp_path: Path) -> None:
         assert held
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("jobs", [2, 4])
 def test_the_numbers_do_not_depend_on_the_number_of_processes(jobs: int, tmp_path: Path) -> None:
     found = []
@@ -341,6 +348,7 @@ def writes(out: Path) -> list[str]:
     return seen
 
 
+@pytest.mark.system
 def test_a_full_disk_at_each_write_loses_nothing_and_is_one_line(
     method: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,6 +419,7 @@ def test_a_full_file_system_loses_nothing_and_is_one_line(kilobytes: int, method
     assert not faults.leftovers(out)
 
 
+@pytest.mark.system
 def test_workers_that_cannot_write_end_the_sweep_with_one_line(method: Path, tmp_path: Path) -> None:
     """A limit of the system on the size of files stands for the full disk."""
 

@@ -392,6 +392,7 @@ def test_nonlinearity_test_sees_squares_and_cubes(power: int) -> None:
     assert found.gain > 0.1
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("n", slow_but((1, 3), [1, 2, 3, 4]))
 def test_order_guess_is_right_in_four_of_five_systems(n: int) -> None:
     """Modes that all matter: poles on a circle of radius 0.8, 1 % noise power."""
@@ -444,6 +445,7 @@ def recommended(u: FloatArray, y: FloatArray) -> tuple[Any, ...]:
     return split.rule, split.train, split.val, split.test, found.init_window, found.orders
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("rest", "rule"), slow_but((0,), [(2000, "60/20/20"), (1190, "50/30/20"), (990, "40/40/20")]))
 def test_what_the_test_part_holds_changes_no_recommendation(rest: int, rule: str) -> None:
     """A delay of its own, other levels, rest, missing and huge samples; for each split that may be recommended."""
@@ -581,6 +583,7 @@ def test_what_is_no_record_is_one_line(arguments: tuple[Any, ...], said: str) ->
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.system
 def test_a_million_rows_take_seconds_and_say_what_was_used() -> None:
     random = np.random.default_rng(0)
     u = random.standard_normal((1_000_000, 2))

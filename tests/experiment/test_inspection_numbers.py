@@ -499,6 +499,7 @@ def test_guess_order_says_what_it_fitted_on_and_what_a_constant_would_do() -> No
     assert (nothing.train_samples, nothing.val_samples) == (0, 200)
 
 
+@pytest.mark.system
 def test_what_models_leave_is_of_the_samples_asked_for_and_counts_the_starts() -> None:
     u, e = noise(2, 3000)
     y = lfilter([0, 1.0], [1, -0.8], u)

@@ -85,6 +85,7 @@ def scores_of(store: Store) -> dict:
     return {result.spec.label: (result.scores, result.history) for result in store.results()}
 
 
+@pytest.mark.system
 def test_only_what_is_missing_is_run_and_jobs_do_not_change_numbers(finished: Store, tmp_path: Path) -> None:
     one, two = finished, store_for(tmp_path / "two")
     assert len(one.results()) == 8  # two seeds of nnss and simba, the others once
@@ -103,6 +104,7 @@ def test_an_unfinished_run_counts_as_missing(finished: Store) -> None:
     assert scores_of(store) == before
 
 
+@pytest.mark.system
 def test_other_options_are_not_mixed_unless_forced(finished: Store) -> None:
     store = finished
     with pytest.raises(InputError, match=r"epochs 2 instead of 3.*--out.*--force"):
@@ -221,6 +223,7 @@ def diverging(bad: set[int]) -> Callable[..., Fit]:
     return fit
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("bad", [{0, 1, 2}, {1, 2}])
 def test_an_ensemble_of_diverged_members(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: set[int], nnss) -> None:
     monkeypatch.setattr(type(METHODS["nnss"]), "fit", diverging(bad))
@@ -387,6 +390,7 @@ def test_the_order_table_bears_what_linear_algebra_raises(
     assert [row.val is None for row in rows] == [False, True, False]
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("weak_adversary")
 def test_only_runs_with_a_model_are_unbounded_under_stress(
     tmp_path: Path, small_data: Callable, monkeypatch: pytest.MonkeyPatch

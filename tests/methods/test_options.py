@@ -198,6 +198,7 @@ def test_mistakes_with_options_are_one_line(args: list[str], words: list[str], n
         assert word in line
 
 
+@pytest.mark.system
 def test_options_of_members_count_for_their_combination(nnss: Callable) -> None:
     outcome = nnss(
         "compare", "twotank-sim", "--orders", "2", "--seeds", "1", "--jobs", "1", "--methods", "nnss-ensemble",

@@ -161,6 +161,7 @@ def test_the_elementary_start_is_the_encoders(changes: dict) -> None:
     assert make(encoder_window=1).elementary().first == 1
 
 
+@pytest.mark.system
 def test_exports_start_from_the_window_and_say_so(tmp_path: Path) -> None:
     model, (u, y) = TrainedModel(make(scheduling="x+u+y")), signals(20)
     expected = model.initial_state(u, y[:W])
@@ -184,6 +185,7 @@ def test_exports_start_from_the_window_and_say_so(tmp_path: Path) -> None:
     assert said in (tmp_path / "mat" / "plant_initial.m").read_text()
 
 
+@pytest.mark.system
 def test_a_certificate_names_the_start_and_covers_it() -> None:
     model, (u, y) = make(stability="quadratic", gamma=0.9), signals(40)
     y[:W] *= 100
@@ -212,6 +214,7 @@ def driven(small_data: Callable[..., Dataset], system: Callable) -> FittingData:
     return replace(small_data().fitting, train=train, val=val, scaling=unit, init_window=4)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("changes", "error"), [
     ({"initial": "feedback"}, 1e-3), ({"initial": "linear"}, 2e-3),
     ({"initial": "linear", "stability": "incremental"}, 2e-3), ({"initial": "linear", "scheduling": "x+y"}, 2e-3),

@@ -118,6 +118,7 @@ def architecture(kind: tuple[str, bool, float], dtype: str = "float64", **more: 
     )  # fmt: skip
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_the_bounds_hold_for_weights_to_ten_thousand(dtype: str) -> None:
     assert violations(400, dtype, 0) == []

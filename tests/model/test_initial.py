@@ -200,6 +200,7 @@ def hardly_seen(size: float = 40.0) -> NNSS:
     return model
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("engine", [ReferenceEngine, FastEngine])
 def test_a_slow_state_of_any_size_is_found(engine: type) -> None:
     """What a state of size one would have held at its guess; told from the training record alone."""

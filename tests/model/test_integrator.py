@@ -116,6 +116,7 @@ def driven(small_data: Callable) -> FittingData:
     return data_of(small_data().fitting, 0.1)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("friction", "hidden", "error"), [(0.0, 2, 1e-3), (0.1, 6, 1e-2)])
 def test_an_integrator_is_found_from_data_without_noise(
     friction: float, hidden: int, error: float, small_data: Callable
@@ -153,6 +154,7 @@ def test_what_cannot_integrate_is_refused(driven: FittingData) -> None:
     assert recipe_of("best", {}, 2).integrator == "auto"
 
 
+@pytest.mark.system
 def test_the_plain_engine_trains_one_by_adam_too(driven: FittingData) -> None:
     recipe = Recipe(
         integrator="yes", engine="reference", hidden=(4,), encoder=(4,), window=40, stride=40, epochs=3, dtype="float64"

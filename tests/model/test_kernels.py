@@ -108,6 +108,7 @@ def test_gradients_agree_in_float32(
     assert gradient < 1e-4
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("scheduling", "stability"),
     slow_but((0, 4), [*((each, "schur") for each in SCHEDULING), ("x", "quadratic"), ("x", "none")]),

@@ -97,6 +97,7 @@ def states(random: np.random.Generator, W: FloatArray, V: FloatArray, gamma: flo
     return x.astype(dtype)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("product", [by_kernel, by_torch])
 def test_each_step_is_one_of_a_matrix_below_gamma(product: Product, dtype: str) -> None:

@@ -50,6 +50,7 @@ def run(installed: Path, work: Path, *args: str, code: int = 0) -> subprocess.Co
     return done
 
 
+@pytest.mark.system
 def test_the_readmes_method_from_another_package(installed: Path, tmp_path: Path) -> None:
     compare = ("-m", "nnss_cli", "compare", "twotank-sim", "--methods", "n4sid", "their-method", "--orders", "2")
     run(installed, tmp_path, *compare, "--set", "their-method.past=12", "--jobs", "2")
@@ -65,6 +66,7 @@ def test_the_readmes_method_from_another_package(installed: Path, tmp_path: Path
     assert "--set their-method.past=…  Samples before k" in listed
 
 
+@pytest.mark.system
 def test_the_readmes_method_obeys_the_laws(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "test_their_package.py").write_text(readme_blocks()["test_their_package.py"], encoding="utf-8")
     done = run(installed, tmp_path, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", str(tmp_path))

@@ -139,6 +139,7 @@ def test_a_file_brings_methods_with_seeds_a_combination_and_a_kind_of_model(nnss
     assert "unknown method 'static-mean'" in nnss(*(part for part in call if part not in ("--plugin", path))).err
 
 
+@pytest.mark.system
 def test_a_file_brings_a_dataset(nnss: Callable, tmp_path: Path) -> None:
     path = write(tmp_path / "plant.py", DATASET)
     outcome = nnss("compare", "plant", "--plugin", path, "--methods", "n4sid")
@@ -304,6 +305,7 @@ def test_a_broken_package_costs_only_itself(
     assert outcome.code == 0, outcome.err
 
 
+@pytest.mark.system
 def test_a_package_brings_a_dataset_and_a_broken_one_is_passed_over(site: Path, nnss: Callable) -> None:
     install(site, "plant-package", "1", DATASET, "nnss.datasets", plant="BENCHMARK")
     climbing = DATASET.replace('"plant", "A plant"', '"climbing", "A plant"').replace('(), ""', '(1,), "../out"')
@@ -321,6 +323,7 @@ def test_a_package_brings_a_dataset_and_a_broken_one_is_passed_over(site: Path, 
     assert "'../out'" in outcome.err
 
 
+@pytest.mark.system
 def test_one_name_from_two_packages_and_that_of_a_built_in_method(site: Path, nnss: Callable) -> None:
     install(site, "first-package", "1", STATIC, static="Static", ssest="Static")
     install(site, "second-package", "2", STATIC, static="Static")

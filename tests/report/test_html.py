@@ -64,6 +64,7 @@ def _runs(out: Path, dataset: str, method: str, text: str) -> Path:
     return out
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("size", [1, 3])
 def test_several_outputs_and_small_folders(tmp_path: Path, size: int) -> None:
     make_runs(tmp_path, methods=("n4sid",), orders=(2,), seeds=1, outputs=size, K=12)

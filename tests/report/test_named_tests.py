@@ -36,6 +36,7 @@ def run_all(dataset: Dataset, out: Path, methods: tuple[str, ...] = ("n4sid", "s
     return store
 
 
+@pytest.mark.system
 def test_each_set_is_scored_tabled_and_drawn(named: Dataset, tmp_path: Path) -> None:
     store = run_all(named, tmp_path)
     results = store.results()

@@ -205,6 +205,7 @@ def test_older_folders_load(trained_folder: Callable[..., Path], tmp_path: Path)
     np.testing.assert_array_equal(bare.simulate(u, 1.0).y, load(trained_folder()).simulate(u, 1.0).y)
 
 
+@pytest.mark.system
 def test_how_far_off_guesses_are_is_kept_and_older_folders_have_states_of_size_one(
     trained_folder: Callable[..., Path], tmp_path: Path
 ) -> None:

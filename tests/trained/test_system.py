@@ -73,6 +73,7 @@ def test_less_is_strict_and_has_no_slope() -> None:
     assert not np.iscomplexobj(found["one"])
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("count", [2, 4, 5, 8])
 def test_an_ensembles_frozen_matrices_and_jacobians_are_those_of_the_members_that_count(
     count: int, untrained: Callable[..., TrainedModel], ensemble_of: Callable

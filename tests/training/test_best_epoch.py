@@ -30,6 +30,7 @@ def weights(training: Training) -> np.ndarray:
     return torch.cat([p.detach().ravel() for p in training.model.parameters()]).numpy()
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("optimiser", ["adam", "lbfgs", "gauss-newton"])
 def test_the_weights_of_the_best_epoch_are_returned(

@@ -66,6 +66,7 @@ def fitting(base: Dataset, plant: Callable[[np.ndarray], np.ndarray], K: int = 6
     return replace(base.fitting, train=(train,), val=(val,), scaling=Scaling.of((train,)))
 
 
+@pytest.mark.system
 def test_a_feedthrough_is_found_from_data_without_noise(small_data: Callable) -> None:
     data = replace(fitting(small_data(), with_feedthrough, K=1500), init_window=10)
     training = train_nnss(data, 2, 0, RECIPE.replace(hidden=(8,), epochs=100))
@@ -75,6 +76,7 @@ def test_a_feedthrough_is_found_from_data_without_noise(small_data: Callable) ->
     assert training.remarks == ("feedthrough taken: it lowers the validation error by more than 20%",)
 
 
+@pytest.mark.system
 def test_a_system_without_one_keeps_the_papers_structure(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = fitting(small_data(), without_feedthrough)
     noisy = tuple(
@@ -112,6 +114,7 @@ def correlated(random: np.random.Generator, K: int, a: float = 0.9) -> FloatArra
     return np.asarray(scipy.signal.lfilter([1.0], [1.0, -a], noise)[:, 200:])
 
 
+@pytest.mark.system
 def test_equally_good_candidates_are_told_apart_as_often_as_the_level_says() -> None:
     """Of 2000 pairs of correlated errors, none better on the average, 1 % at 1 %; sample by sample it would be 23 %."""
     random = np.random.default_rng(0)
@@ -171,6 +174,7 @@ def few(base: Dataset) -> FittingData:
     return replace(base.fitting, train=(noisy[0],), val=(noisy[1],), scaling=Scaling.of((noisy[0],)))
 
 
+@pytest.mark.system
 def test_an_incremental_layer_needs_no_margin(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of twice as many units, it has fewer weights and promises more than the generator that it is tried after."""
     data = few(small_data())
@@ -302,6 +306,7 @@ def test_a_later_stage_begins_at_the_best_weights(small_data: Callable, monkeypa
             assert (weight != begun[0][1][name]).any()
 
 
+@pytest.mark.system
 def test_a_stage_that_diverges_leaves_the_model_of_the_one_before(
     small_data: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,6 +358,7 @@ def test_ssest_takes_a_feedthrough_that_validates_better(small_data: Callable) -
         assert METHODS["ssest"].settings(replace(data, protocol=protocol), 2, {}) == {"feedthrough": expected}
 
 
+@pytest.mark.system
 def test_a_start_that_a_quarter_of_the_epochs_did_not_improve_is_kept(
     small_data: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -407,6 +413,7 @@ def test_more_weights_than_measured_outputs_are_told(order: int, advice: str, sm
     assert not any("weights" in remark for remark in train_nnss(enough, order, 0, recipe).remarks)
 
 
+@pytest.mark.system
 def test_the_cold_model_is_taken_where_it_pays(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = small_data(K=150).fitting
     recipe = RECIPE.replace(initial="auto", feedthrough="no", epochs=2, hidden=(12,))
@@ -464,6 +471,7 @@ def test_the_error_over_blocks_is_that_of_all_held_out_samples() -> None:
     assert pooled([0.1, np.inf], [7, 1]) == np.inf
 
 
+@pytest.mark.system
 def test_judged_by_blocks_validation_is_one_of_them(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """The feedthrough does much better on a validation record of 40 samples alone, and worse on the rest."""
     data = fitting(small_data(), with_feedthrough, K=160)
@@ -517,6 +525,7 @@ def test_what_the_encoder_sees_makes_no_record_a_short_one(small_data: Callable)
     assert worth_trying(data, 2, window, data.train) == worth_trying(data, 2, plain, data.train) == ("stability",)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("errors", "told", "taken"),
     slow_but((0, 2), [
@@ -552,6 +561,7 @@ def test_an_integrator_is_tried_with_a_feedthrough_that_alone_is_no_help(
         assert "both" not in recipe.replace(**asked).alternatives(100)
 
 
+@pytest.mark.system
 def test_a_budget_ends_a_fit_and_says_what_it_left_out(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     data = fitting(small_data(), with_feedthrough)
     seconds = iter(range(10_000))

@@ -136,6 +136,7 @@ def random_cascade(seed: int, radius: float = 0.9, strength: float = 1.0, n: int
     return Cascade(PlainArrays(A, B, F, G, np.zeros((q, 1)), b, C, D, np.zeros((1, q))), first, np.zeros((n, 1)))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("gamma", "strength"), slow_but((2, 4), [(1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (0.91, 0.1), (0.91, 1.0)])
 )
@@ -379,6 +380,7 @@ def test_an_iterate_is_judged_with_the_spread_of_its_own_states(
     assert len(spreads) >= 5
 
 
+@pytest.mark.system
 def test_a_plant_of_this_form_is_found_and_the_layer_stays_of_it(between: FittingData) -> None:
     train, val = between.normalised()
     model = layer(4, 6)
@@ -429,6 +431,7 @@ def test_the_encoder_is_the_regression_of_the_layers_own_states(
     assert fixed or offset() < 0.05
 
 
+@pytest.mark.system
 def test_two_threads_give_the_same_numbers(between: FittingData, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROUNDS", ((5, 2),))
     monkeypatch.setattr(module, "STRETCH", 64)
@@ -443,6 +446,7 @@ def test_two_threads_give_the_same_numbers(between: FittingData, monkeypatch: py
     assert np.array_equal(*found)
 
 
+@pytest.mark.system
 def test_it_is_tried_on_long_records_alone_and_must_be_clearly_ahead(
     between: FittingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -462,6 +466,7 @@ def test_it_is_tried_on_long_records_alone_and_must_be_clearly_ahead(
     assert np.abs(training.model.generator.arrays().A[2:, :2]).max() < 1e-9
 
 
+@pytest.mark.system
 def test_a_cascade_has_all_epochs_in_every_stage(between: FittingData) -> None:
     """Its weights are few, so a stage of a long record costs little; others have half as many in each."""
     train, val = between.normalised()
@@ -486,6 +491,7 @@ def test_where_it_cannot_be_the_start_is_linear_and_that_is_told(between: Fittin
         recipe.replace(stability="schur")
 
 
+@pytest.mark.system
 def test_beside_an_integrator_the_layer_itself_is_trained(between: FittingData) -> None:
     summed = tuple(
         Record(r.u, np.cumsum(np.concatenate([np.zeros((1, 1)), r.y[:-1]]), axis=0), r.Ts)

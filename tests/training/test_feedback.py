@@ -35,6 +35,7 @@ def plant(random: np.random.Generator, n: int, r: int, m: int, size: float) -> F
     return Feedback(A, random.standard_normal((n, r)), C, np.zeros((m, r)), F, C).transform(T)
 
 
+@pytest.mark.system
 @given(n=st.integers(1, 6), m=st.integers(1, 3), gamma=st.sampled_from([1.0, 0.97]), seed=st.integers(0, 2**32 - 1))
 def test_the_basis_contracts_at_every_state(n: int, m: int, gamma: float, seed: int) -> None:
     random = np.random.default_rng(seed)

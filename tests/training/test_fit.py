@@ -58,6 +58,7 @@ def test_the_loss_is_response_plus_consistency(small_data: Callable) -> None:
     torch.testing.assert_close(training_loss(model, u, y, 0.0), response)
 
 
+@pytest.mark.system
 def test_lbfgs_descends_the_same_way_in_both_engines(small_data: Callable) -> None:
     data = small_data(K=300).fitting
     recipe = QUICK.replace(optimiser="lbfgs", epochs=15, window=100, stride=1)  # the whole record as one window
@@ -74,6 +75,7 @@ def test_lbfgs_reports_a_loss_that_is_not_finite(small_data: Callable, monkeypat
     assert training.diverged == "the loss became nan in epoch 1"
 
 
+@pytest.mark.system
 def test_the_engines_train_the_same_model(small_data: Callable) -> None:
     data = small_data(r=2, m=2).fitting
     fast, plain = (train_nnss(data, 2, 0, QUICK.replace(epochs=20, engine=engine)) for engine in ENGINES)

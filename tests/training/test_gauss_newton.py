@@ -68,6 +68,7 @@ def test_derivatives_agree_with_automatic_ones(
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * max(1.0, np.abs(theirs).max()))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("hidden", [(3,), (40,)], ids=["fewer weights than errors", "more"])
 def test_gauss_newton_finds_a_model_of_its_own_kind(hidden: tuple) -> None:
     a = Architecture(2, 1, 1, hidden, (4,), dtype="float64")
@@ -120,6 +121,7 @@ def test_a_warm_start_simulates_like_ssest(gamma: float, stability: str) -> None
     np.testing.assert_allclose(ours, theirs, atol=1e-8)
 
 
+@pytest.mark.system
 def test_a_warm_start_is_never_worse_on_validation_than_it_began() -> None:
     data = load("twotank-sim").fitting
     train, val = data.normalised()
@@ -174,6 +176,7 @@ def test_normal_equations_are_those_of_the_blocks_together(every: int, whole: Ca
     np.testing.assert_allclose(np.tril(found.gram), np.tril(expected), atol=1e-12)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("most", [8, 10**6], ids=["of some samples", "of all"])
 def test_a_long_record_is_trained_with_the_curvature_of_some_samples(
     most: int, monkeypatch: pytest.MonkeyPatch

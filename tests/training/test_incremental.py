@@ -116,6 +116,7 @@ def test_a_feedback_start_simulates_like_the_lure_model(scheduling: str) -> None
     np.testing.assert_allclose(y, found[0].outputs(val[0].u, path), atol=1e-7)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("optimiser", ["gauss-newton", "adam", "lbfgs"])
 @pytest.mark.parametrize("engine", ["fast", "reference"])
 def test_training_goes_down_in_both_engines(optimiser: str, engine: str) -> None:
@@ -139,6 +140,7 @@ def test_the_best_recipe_takes_it_and_keeps_the_gain() -> None:
     assert not set(training.candidates) & {"cold start", "integrator"}
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("weak_adversary")
 def test_commands(nnss: Callable, tmp_path: Path) -> None:
     quick = ("twotank-sim", "--order", "2", "--stability", "incremental", "--epochs", "2")

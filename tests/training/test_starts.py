@@ -49,6 +49,7 @@ POOR = {
 }  # fmt: skip
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("kind", POOR)
 def test_where_ssest_fails_training_starts_at_random_and_says_so(kind: str) -> None:
     u, y, remark = POOR[kind]
@@ -145,6 +146,7 @@ def test_a_feedback_start_that_fails_leaves_the_linear_one(monkeypatch: pytest.M
         assert torch.equal(first, second)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("method", "name"), [("train_batch", "adam"), ("loss_and_gradient", "lbfgs"), ("sensitivities", "gauss-newton")]
 )

@@ -33,6 +33,7 @@ def test_coverage_on_records_of_autoregressive_noise(pole: float) -> None:
     assert 0.88 <= np.mean(held) <= 0.92
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("name", "order"),
     [

@@ -32,6 +32,7 @@ def new(tmp_path: Path, plant_data: Callable[..., Dataset]) -> Path:
     return write(plant_data().tests["test"][0], tmp_path / "new.csv")
 
 
+@pytest.mark.system
 def test_predict_writes_what_the_predictor_predicts(
     new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> None:
@@ -51,6 +52,7 @@ def test_predict_writes_what_the_predictor_predicts(
         assert f" {horizon} " in done.out
 
 
+@pytest.mark.system
 def test_the_band_is_the_validation_records_alone(
     new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> None:
@@ -68,6 +70,7 @@ def test_the_band_is_the_validation_records_alone(
         assert len(widths[0]) == 1
 
 
+@pytest.mark.system
 def test_predict_with_a_guard_and_an_adaptive_band(
     nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> None:
@@ -108,6 +111,7 @@ def test_simulate_with_an_interval(new: Path, nnss: Callable, plant_run: Callabl
     assert "band" not in plain.out
 
 
+@pytest.mark.system
 def test_a_sound_model_passes(
     nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> None:
@@ -122,6 +126,7 @@ def test_a_sound_model_passes(
     assert Path("v.png").stat().st_size > 50_000
 
 
+@pytest.mark.system
 def test_a_model_of_too_low_an_order_fails_with_a_verdict(nnss: Callable, plant_run: Callable[..., Path]) -> None:
     done = nnss("validate", plant_run(order=1))
     assert done.code == 1
@@ -131,6 +136,7 @@ def test_a_model_of_too_low_an_order_fails_with_a_verdict(nnss: Callable, plant_
     assert "Traceback" not in done.err
 
 
+@pytest.mark.system
 def test_validate_as_json(
     new: Path, nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset]
 ) -> None:
@@ -159,6 +165,7 @@ def test_validate_as_json(
     assert same["outputs"] == found["outputs"]
 
 
+@pytest.mark.system
 def test_a_disturbed_plant_needs_the_noise_model(nnss: Callable, plant_run: Callable[..., Path]) -> None:
     """Its simulation's errors are coloured, its one-step errors are white: the model passes."""
     done = nnss("validate", plant_run(coloured=True), "--json")
@@ -196,6 +203,7 @@ def ensemble(
     return folder
 
 
+@pytest.mark.system
 def test_a_band_may_follow_an_ensemble(new: Path, nnss: Callable, ensemble: Path) -> None:
     for command in ("simulate", "predict"):
         done = nnss(command, ensemble, new, "--interval", "0.9", "--interval-by", "ensemble", "--force")
@@ -211,6 +219,7 @@ def test_a_band_may_follow_an_ensemble(new: Path, nnss: Callable, ensemble: Path
             np.testing.assert_allclose(table["y1"], y[:, 0], atol=1e-12)  # not the mean, around which they spread
 
 
+@pytest.mark.system
 def test_each_member_of_an_ensemble_has_its_own_gain(new: Path, nnss: Callable, ensemble: Path) -> None:
     done = nnss("validate", ensemble, new, "--json")
     assert done.code == 1  # of random weights
@@ -227,6 +236,7 @@ def test_validate_takes_a_split_of_the_run(nnss: Callable, plant_run: Callable[.
     assert "unknown split 'night': choose from" in refused.err
 
 
+@pytest.mark.system
 def test_a_model_alone_needs_a_record_to_fit_on(
     new: Path, nnss: Callable, plant_run: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -271,6 +281,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(
     assert not list(Path().glob("*.png"))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -305,6 +316,7 @@ def test_a_model_that_runs_away_is_told_in_one_line(new: Path, nnss: Callable, p
     assert not list(Path().glob("*.[cp][sn][vg]"))
 
 
+@pytest.mark.system
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
     Path("predicted.png").write_bytes(b"mine")
     assert nnss("predict", plant_run(), new, "--plot").out.endswith("predicted-2.csv\npredicted-2.png\n")
@@ -316,6 +328,7 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, plant_run: Ca
     assert "'predicted.csv' exists already: name another file with --out, or --force" in refused.err
 
 
+@pytest.mark.system
 def test_each_validation_has_a_figure_of_its_own(new: Path, nnss: Callable, plant_run: Callable[..., Path]) -> None:
     run = plant_run().name
     first, second = f"validation-{run}.png", f"validation-{run}-2.png"

@@ -111,6 +111,7 @@ def test_the_prior_is_that_of_validation(plant_run: Callable[..., Path]) -> None
         np.testing.assert_allclose(found.guard((horizon,)).strengths[horizon], expected)
 
 
+@pytest.mark.system
 def test_a_forecaster_is_guarded_where_it_is_asked_to_be(plant_run: Callable[..., Path]) -> None:
     """Predictions and their bands; the simulation is what it was."""
     trained = load(plant_run())

@@ -144,6 +144,7 @@ def test_they_are_not_tried_where_a_gain_will_do(plant_data: Callable, monkeypat
     assert "increments" not in found.origin
 
 
+@pytest.mark.system
 def test_what_is_predicted_without_the_model_is_told_and_fails(
     nnss: Callable, plant_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,7 @@ def model(request: pytest.FixtureRequest, linear: LinearModel, neural: Callable[
     return neural("x", dtype="float32") if request.param == "float32" else neural(request.param)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("window", [1, 4])
 def test_without_gain_it_is_the_simulation(model: Model, window: int) -> None:
     u, y = signals(model, 40)
@@ -102,6 +103,7 @@ def test_a_gain_is_no_simulation(model: Model) -> None:
     assert np.abs(predicted - model.simulate(u, y[:1]).y).max() > 0.05
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("horizon", [1, 4])
 def test_predictions_know_outputs_up_to_the_horizon_only(model: Model, horizon: int) -> None:
     u, y = signals(model)
@@ -188,6 +190,7 @@ def of_kind(kind: str, neural: Callable[..., NNSS]) -> NNSS | Ensemble:
     return neural("x", dtype="float32") if kind == "float32" else neural(kind, n=3, r=2, m=2)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("window", [1, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_along_a_long_record_it_is_the_same_in_compiled_code(
@@ -251,6 +254,7 @@ def test_an_integrators_predictor(scheduling: str, jacobians_agree: Callable) ->
     jacobians_agree(system, z, v)
 
 
+@pytest.mark.system
 def test_a_gain_holds_an_integrator_that_drifts() -> None:
     """Its simulation follows no drift of the outputs, and noise lies on them: the observer does, and is stable."""
     model = integrating("x")
@@ -315,6 +319,7 @@ def innovations_record(model: Model, K: FloatArray, samples: int, sigma: float, 
     return Record(u * s.u_std + s.u_mean, s.restore_y(y), model.Ts)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("kind", ["linear", "neural"])
 def test_on_data_of_the_model_itself_errors_grow_with_the_horizon(
     kind: str, linear: LinearModel, neural: Callable[..., NNSS], true_gain: FloatArray
@@ -340,6 +345,7 @@ def test_pieces_of_a_record_begin_where_an_encoder_sees_enough(neural: Callable[
     assert gain.rate < 1
 
 
+@pytest.mark.system
 def test_the_gain_that_made_the_data_is_found(linear: LinearModel, true_gain: FloatArray) -> None:
     train, val, test = (innovations_record(linear, true_gain, 3000, 0.5, seed) for seed in (5, 6, 7))
     (stepper,) = steppers_of(linear)
@@ -420,6 +426,7 @@ def test_persistence_repeats_what_was_measured() -> None:
     np.testing.assert_array_equal(persistence(y, 2)[:, 0], [0, 0, 0, 1, 2, 3])
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("name", "order"),
     [
@@ -446,6 +453,7 @@ def test_one_step_ahead_it_beats_persistence_on_real_records(name: str, order: i
     assert (found.origin == ALONE) == (name == "daisy-powerplant")
 
 
+@pytest.mark.system
 def test_of_a_linear_model_nothing_needs_torch_or_scipys_signals() -> None:
     """Which take three seconds to load, of the ten that a validation took."""
     code = """import sys

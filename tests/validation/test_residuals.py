@@ -66,6 +66,7 @@ def test_of_many_short_records_pairs_within_them_count() -> None:
     assert np.mean(own) / (L + 1) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("records", [20, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_wrong_order_is_found(records: int, plant_data: Callable[..., Dataset], linear: LinearModel) -> None:
     """A model of order 1 of a plant of order 2, with its best gain: on 95 % of records. The plant itself: 5 %."""
