@@ -10,7 +10,7 @@ model = study.best()              # by validation; the test has no say
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -131,8 +131,12 @@ def compare(
     seeds, jobs = _whole("seeds", seeds, 1), _whole("jobs", jobs, 1)
     if isinstance(methods, str):
         raise InputError(f"methods: expected a list of names, found '{methods}': write ['{methods}']")
-    chosen = select(list(methods or ()))
-    own = None if orders is None else [_whole("orders", order, 1) for order in _several("orders", orders)]
+    chosen = select(_several("methods", methods or (), "names"))
+    own = (
+        None
+        if orders is None
+        else [_whole("orders", order, 1) for order in _several("orders", orders, "whole numbers")]
+    )
     return _studied(prepared, chosen, prepared.orders_or(own), range(seeds), settings, out, jobs, force)
 
 
@@ -233,11 +237,11 @@ def _whole(name: str, value: Any, least: int) -> int:
     return found
 
 
-def _several(name: str, values: Any) -> list[Any]:
+def _several(name: str, values: Any, of: str) -> list[Any]:
     try:
         return [*values]
     except TypeError as error:
-        raise InputError(f"{name}: expected a list of whole numbers, found {values!r:.60}") from error
+        raise InputError(f"{name}: expected a list of {of}, found {values!r:.60}") from error
 
 
 def _studied(
@@ -279,6 +283,8 @@ def _changes(methods: Sequence[Method], settings: Mapping[str, Any] | None) -> d
     Raises:
         InputError: no chosen method has such an option.
     """
+    if not isinstance(settings, Mapping | None):
+        raise InputError(f"settings: expected values by the name of an option, found {settings!r:.60}")
     changes = {name: tuple(value) if isinstance(value, list) else value for name, value in (settings or {}).items()}
     plain = {name: value for name, value in changes.items() if "." not in name}
     gathered(plain, [], [method.name for method in methods], {name: f"settings '{name}'" for name in plain})
@@ -291,8 +297,9 @@ def _changes(methods: Sequence[Method], settings: Mapping[str, Any] | None) -> d
 
 
 def _names(files: str | Path | Sequence[str | Path]) -> list[str]:
-    names = [files] if isinstance(files, str | Path) else [*files]
-    if isinstance(files, pd.DataFrame | np.ndarray) or not all(isinstance(name, str | Path) for name in names):
+    several = isinstance(files, Iterable) and not isinstance(files, str | pd.DataFrame | np.ndarray)
+    names = [*files] if several else [files]
+    if not all(isinstance(name, str | Path) for name in names):
         raise InputError(
             f"data: expected a benchmark's name or files, found {type(files).__name__}: write it to a file first, or "
             "make a Dataset of it"

@@ -26,6 +26,7 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return str(tmp_path / "plant.csv")
 
 
+@pytest.mark.system
 def test_compare_gives_tables_and_models(plant: str, nnss: Callable) -> None:
     study = nnss_cli.compare(
         plant, inputs=["u"], outputs=["y"], Ts=0.1, orders=[1, 2], seeds=2, methods=["nnss", "n4sid"], settings=QUICK
@@ -102,6 +103,8 @@ def test_inspect_says_what_the_command_says(plant: str) -> None:
         ({"orders": ["2"]}, "orders: expected a whole number of at least 1, found '2'"),
         ({"methods": ["magic"]}, "unknown method 'magic'"),
         ({"methods": "n4sid"}, r"methods: expected a list of names, found 'n4sid': write \['n4sid'\]"),
+        ({"methods": 5}, "methods: expected a list of names, found 5"),
+        ({"settings": ["widths"]}, "settings: expected values by the name of an option, found .'widths'."),
         (
             {"settings": {"widths": 3}},
             r"settings 'widths': no chosen method \(n4sid\) has .*, nor has any other: choose from horizon",
@@ -140,7 +143,7 @@ def test_numpys_whole_numbers_are_some(plant: str) -> None:
 
 
 def test_a_table_is_no_file() -> None:
-    for data in (pd.DataFrame({"u": [1.0]}), np.ones((3, 2)), [1, 2]):
+    for data in (pd.DataFrame({"u": [1.0]}), np.ones((3, 2)), [1, 2], 5, None):
         told = f"data: expected a benchmark's name or files, found {type(data).__name__}"
         with pytest.raises(InputError, match=told):
             nnss_cli.fit(data, 2)

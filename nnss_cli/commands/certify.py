@@ -39,9 +39,12 @@ def command(
     normalised units where no other is named. Exit code 1 when a promised bound is broken.
     """
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.parameters import refuse_without
     from nnss_cli.experiment.certificate.many import folders_below
     from nnss_cli.report.certificates import certificate_rows, examined, statement_rows, stress_rows, summary_rows
 
+    if data is None:
+        refuse_without("--data", {"--ts": Ts})
     folders = folders_below(model)
     found: list[tuple[str, Any]] = []
     skipped: list[tuple[str, str]] = []

@@ -47,7 +47,7 @@ def command(
     input or nowhere to write, 130 interrupted.
     """
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows, tell_left_out
+    from nnss_cli.commands.display import RunProgress, console, plan_rows, print_rows, tell_files, tell_left_out
     from nnss_cli.commands.events import emit
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.agreement import agreeing
@@ -150,8 +150,6 @@ def command(
     notes = [*data.notes, *options_apart(asked)]
     for line in [*(f"Note: {note}" for note in notes), *failures(asked), *remarks(asked)]:
         console.print(line, soft_wrap=True, highlight=False, markup=False)
-    for path in files:
-        console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", files=[str(path) for path in files], left_out=table.left_out)
+    tell_files(files, left_out=table.left_out)
     if table.left_out or any(result.status != "ok" for result in asked):
         raise typer.Exit(1)

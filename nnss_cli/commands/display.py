@@ -7,6 +7,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -190,6 +191,14 @@ def output(quiet: bool, as_json: bool, as_csv: bool = False) -> Iterator[None]:
     finally:
         console.quiet = before
         _CSV.reset(token)
+
+
+def tell_files(files: Iterable[Path], **about: Any) -> None:
+    """The files that a command wrote, which end it: their names for people, an event for machines."""
+    names = [str(path) for path in files]
+    for name in names:
+        console.print(name, soft_wrap=True, highlight=False)
+    emit("end", files=names, **about)
 
 
 def tell_left_out(lines: Iterable[str]) -> None:

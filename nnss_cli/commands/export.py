@@ -21,7 +21,7 @@ def command(
 
     Exit code 1, and no file, where what was written computes something else.
     """
-    from nnss_cli.commands.display import console
+    from nnss_cli.commands.display import console, tell_files
     from nnss_cli.export import ParityError, export
     from nnss_cli.trained import load
 
@@ -36,5 +36,4 @@ def command(
         console.print(str(found), soft_wrap=True, highlight=False)
     for said in filter(None, (done.left_out, done.start)):
         console.print(said, soft_wrap=True, highlight=False)
-    for path in done.files:
-        console.print(str(path), soft_wrap=True, highlight=False)
+    tell_files(done.files, parity=[vars(found) for found in done.parity], left_out=done.left_out, start=done.start)

@@ -37,7 +37,7 @@ def command(
     from nnss_cli.experiment.inspection_files import examine_files, suggested
     from nnss_cli.experiment.inspection_order import HOW_GUESSED
     from nnss_cli.files import require_writable, write_text
-    from nnss_cli.report.figures import close_figure, save_figure
+    from nnss_cli.report.figures import save_figure
     from nnss_cli.report.inspection import (
         channel_rows,
         draw_inspection,
@@ -72,7 +72,6 @@ def command(
         require_writable(folder)
         figure = draw_inspection(seen.found, title)
         save_figure(figure, folder / "inspection.png")
-        close_figure(figure)
         console.print(str(folder / "inspection.png"), soft_wrap=True, highlight=False)
     if write is not None and description is not None:
         write_text(write, description)

@@ -7,10 +7,11 @@ import os
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
+from nnss_cli.commands.parameters import flag_of, option, with_parameters
 from nnss_cli.errors import InputError, unknown
 
 
@@ -179,11 +180,11 @@ Interval = Annotated[
     ),
 ]  # fmt: skip
 IntervalBy = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--interval-by", metavar="residuals|ensemble|adaptive",
-        help="Width of the band: constant, following the spread of an ensemble's members or, in predict, the coverage "
-        "seen up to then.",
+        help="Width of the band: constant (default), following the spread of an ensemble's members or, in predict, the "
+        "coverage seen up to then.",
     ),
 ]  # fmt: skip
 FileSheet = Annotated[str | None, typer.Option("--sheet", metavar="NAME", help="Sheet of an Excel file.")]
@@ -195,17 +196,12 @@ _TRAINING = "Training of NN-SS, and of SIMBa where it applies (default: the reci
 _BASELINES = "Baselines"
 
 
-def _fit_option(kind: Any, panel: str, name: str, metavar: str | None, help_text: str) -> Any:
-    option = typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=panel, show_default=False)
-    return Annotated[kind, option]
-
-
 def _training(kind: Any, name: str, metavar: str, help_text: str) -> Any:
-    return _fit_option(kind | None, _TRAINING, name, metavar, help_text)
+    return option(kind | None, _TRAINING, name, metavar, help_text)
 
 
 def _baseline(kind: Any, name: str, metavar: str | None, help_text: str) -> Any:
-    return _fit_option(kind | None, _BASELINES, name, metavar, help_text)
+    return option(kind | None, _BASELINES, name, metavar, help_text)
 
 
 Horizon = _baseline(str, "--horizon", "matlab|auto", "N4SID: MATLAB's (default of protocol paper), or searched.")
@@ -264,7 +260,7 @@ FIT_OPTIONS: dict[str, Any] = {
         "Random weights, SSEST's model, that with saturated feedback, or with units between two linear parts; auto: "
         "feedback, or what validates better.",
     ),
-    "fixed_encoder": _fit_option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
+    "fixed_encoder": option(bool | None, _TRAINING, "--fixed-encoder", None, "Leave the encoder as it starts."),
     "engine": _training(str, "--engine", "auto|reference|fast", "Compiled, or plain torch; auto is compiled."),
     "horizon": Horizon,
     "kernel": _baseline(str, "--kernel", "tc|dc|ss", "SSREGEST: prior of the impulse responses (default tc)."),
@@ -291,11 +287,11 @@ def with_fit_options(command: Callable[..., None]) -> Callable[..., None]:
             },
             assignments,
             (given["methods"] or []) if "methods" in given else [given.get("method", "nnss")],
-            {name: _flag(name) for name in FIT_OPTIONS},
+            {name: flag_of(annotation) for name, annotation in FIT_OPTIONS.items()},
         )
         command(**given, changes=changes)
 
-    return _with_parameters(command, wrapper, {"assignments": Assignments, **FIT_OPTIONS}, without="changes")
+    return with_parameters(command, wrapper, {"assignments": Assignments, **FIT_OPTIONS}, without="changes")
 
 
 def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
@@ -313,7 +309,7 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
             BENCHMARKS.of_files()
         command(**given)
 
-    return _with_parameters(command, wrapper, {"plugin": PluginFiles})
+    return with_parameters(command, wrapper, {"plugin": PluginFiles})
 
 
 def with_output(command: Callable[..., None]) -> Callable[..., None]:
@@ -330,27 +326,7 @@ def with_output(command: Callable[..., None]) -> Callable[..., None]:
                 raise InputError("expected --json or --csv, found both: leave one out")
             command(**given)
 
-    return _with_parameters(command, wrapper, added)
-
-
-def _with_parameters(
-    command: Callable[..., None], wrapper: Callable[..., None], added: dict[str, Any], without: str = ""
-) -> Callable[..., None]:
-    """`wrapper` in the command's place, with parameters `added` to it: annotation by name."""
-    own = inspect.signature(command, eval_str=True)
-    parameters = [parameter for name, parameter in own.parameters.items() if name != without]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-        for name, annotation in added.items()
-    ]
-    wrapper.__doc__ = command.__doc__
-    wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
-    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return wrapper
-
-
-def _flag(name: str) -> str:
-    return str(get_args(FIT_OPTIONS[name])[1].default)  # where typer keeps the first name
+    return with_parameters(command, wrapper, added)
 
 
 def as_command_line(settings: dict[str, Any]) -> str:
@@ -361,11 +337,11 @@ def as_command_line(settings: dict[str, Any]) -> str:
             text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
             parts += ["--set", f"nnss.{name}={text}"]
             continue
-        option = _flag(name)
+        flag = flag_of(FIT_OPTIONS[name])
         if isinstance(value, bool):
-            parts += [option] * value
+            parts += [flag] * value
         else:
-            parts += [option, *map(str, value if isinstance(value, tuple) else (value,))]
+            parts += [flag, *map(str, value if isinstance(value, tuple) else (value,))]
     return shlex.join(parts)
 
 

@@ -25,8 +25,7 @@ def command(
 ) -> None:
     """Show what order the data call for: Hankel singular values and validation errors, and a suggestion."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.commands.events import emit
+    from nnss_cli.commands.display import console, print_rows, tell_files
     from nnss_cli.experiment.order import order_table, suggest_order
     from nnss_cli.experiment.store import Store
     from nnss_cli.files import require_writable
@@ -51,6 +50,4 @@ def command(
         console.print(f"Orders up to {len(rows)}: the model behind the Hankel singular values has no more states.")
     console.print(f"Suggested order: {chosen}, the lowest within 5 % of the best validation error.", highlight=False)
     written = write_orders(rows, chosen, folder, measure, title)
-    for path in written:
-        console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", suggested=chosen, files=[str(path) for path in written])
+    tell_files(written, suggested=chosen)

@@ -24,7 +24,7 @@ def command(
         ),
     ] = False,
     interval: opt.Interval = None,
-    interval_by: opt.IntervalBy = "residuals",
+    interval_by: opt.IntervalBy = None,
     data: opt.FittedOn = None,
     out: opt.Predicted = None,
     plot: Annotated[bool, typer.Option("--plot", help="Draw them beside it, as .png.")] = False,
@@ -40,8 +40,8 @@ def command(
     those of persistence, y(k) = y(k - N), and those with --guard, given or not.
     Signals that leave the range of the training records by more than a hundredth of it are told.
     """
-    from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.commands.events import emit
+    from nnss_cli.commands.display import console, print_rows, tell_files
+    from nnss_cli.commands.parameters import refuse_without
     from nnss_cli.files import places, require_writable, write_text
     from nnss_cli.report.simulation import beyond_rows
     from nnss_cli.report.validation import gain_lines, guard_lines, step_rows
@@ -50,12 +50,14 @@ def command(
     from nnss_cli.validation.predict import predict_record
     from nnss_cli.validation.trained import forecaster
 
+    if interval is None:
+        refuse_without("--interval", {"--interval-by": interval_by})
     trained = load(model)
     record, t = read_timed(trained, file, time=time, Ts=Ts, sheet=sheet)
     given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
     written = places(out, "predicted.csv", *[".png"] * plot, force=force)
     predictor = forecaster(trained, given, guard)
-    found = predict_record(predictor, record, horizon, interval, interval_by)
+    found = predict_record(predictor, record, horizon, interval, interval_by or "residuals")
     require_writable(written[0].parent)
     write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None, t=t))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
@@ -68,7 +70,7 @@ def command(
     for line in lines + (found.limits.told(trained.channels) if found.limits else []):
         console.print(line, soft_wrap=True, highlight=False)
     if plot:
-        from nnss_cli.report.figures import close_figure, save_figure
+        from nnss_cli.report.figures import save_figure
         from nnss_cli.report.simulation import draw_simulated
         from nnss_cli.validation.gain import ALONE
 
@@ -80,7 +82,4 @@ def command(
             (*found.limits.pair, found.limits.name) if found.limits else None,
         )  # fmt: skip
         save_figure(figure, written[1])
-        close_figure(figure)
-    for path in written:
-        console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", files=[str(path) for path in written])
+    tell_files(written)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
 import shlex
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, get_args
+from typing import Any
 
-import typer
+from nnss_cli.commands.parameters import flag_of, option, with_parameters
 
 _PANEL = "A record of one's own (a description.toml has the same keys: docs/own-data.md)"
 
 
-def _option(kind: Any, name: str, metavar: str, help_text: str) -> Any:
-    option = typer.Option(name, help=help_text, metavar=metavar, rich_help_panel=_PANEL, show_default=False)
-    return Annotated[kind | None, option]
+def _option(kind: Any, flag: str, metavar: str, help_text: str) -> Any:
+    return option(kind | None, _PANEL, flag, metavar, help_text)
 
 
 # Field of a description → the option that sets it.
@@ -47,21 +45,12 @@ RECORD_OPTIONS: dict[str, Any] = {
 
 def with_record_options(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command every option of RECORD_OPTIONS; its parameter `own` gets those that the user set."""
-    signature = inspect.signature(command, eval_str=True)
-    parameters = [parameter for name, parameter in signature.parameters.items() if name != "own"]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-        for name, annotation in RECORD_OPTIONS.items()
-    ]
 
     def wrapper(**given: Any) -> None:
         own = {name: given.pop(name) for name in RECORD_OPTIONS}
         command(**given, own={name: value for name, value in own.items() if value is not None and value != []})
 
-    wrapper.__doc__ = command.__doc__
-    wrapper.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return wrapper
+    return with_parameters(command, wrapper, RECORD_OPTIONS, without="own")
 
 
 def as_arguments(names: Sequence[str], own: dict[str, Any]) -> str:
@@ -74,4 +63,4 @@ def as_arguments(names: Sequence[str], own: dict[str, Any]) -> str:
 
 def option_of(field: str) -> str:
     """The option that sets a field of a description."""
-    return str(get_args(RECORD_OPTIONS[field])[1].default)
+    return flag_of(RECORD_OPTIONS[field])

@@ -28,8 +28,7 @@ def command(
 
     A run whose files are damaged or disagree is named and left out: exit code 1.
     """
-    from nnss_cli.commands.display import console, tell_left_out
-    from nnss_cli.commands.events import emit
+    from nnss_cli.commands.display import tell_files, tell_left_out
     from nnss_cli.files import require_writable
     from nnss_cli.report.build import write_report
     from nnss_cli.report.style import Look
@@ -45,9 +44,7 @@ def command(
             from nnss_cli.report.html.page import write_html
 
             written.append(write_html(out))
-        for path in written:
-            console.print(str(path), soft_wrap=True, highlight=False)
-        emit("end", files=[str(path) for path in written], left_out=left_out)
+        tell_files(written, left_out=left_out)
     finally:
         tell_left_out(left_out)
     if left_out:

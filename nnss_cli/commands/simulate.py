@@ -24,7 +24,7 @@ def command(
         ),
     ] = "outputs",
     interval: opt.Interval = None,
-    interval_by: opt.IntervalBy = "residuals",
+    interval_by: opt.IntervalBy = None,
     data: opt.FittedOn = None,
     states: Annotated[bool, typer.Option("--states", help="Write the states, too.")] = False,
     time: opt.FileTime = None,
@@ -37,13 +37,15 @@ def command(
     The first outputs tell the initial state, as many as the model's init window has; the rest may be empty. Inputs and
     simulated outputs that leave the range of the training records by more than a hundredth of it are told.
     """
-    from nnss_cli.commands.display import console, print_rows
-    from nnss_cli.commands.events import emit
+    from nnss_cli.commands.display import console, print_rows, tell_files
+    from nnss_cli.commands.parameters import refuse_without
     from nnss_cli.errors import InputError
     from nnss_cli.files import places, require_writable, write_text
     from nnss_cli.trained import load, read_record
     from nnss_cli.trained.simulate import beyond_training, simulate_file, simulated_table
 
+    if interval is None:
+        refuse_without("--interval", {"--interval-by": interval_by, "--data": data})
     trained = load(model)
     found = simulate_file(trained, file, start, time=time, Ts=Ts, sheet=sheet)
     written = places(out, "predicted.csv", *[".png"] * plot, force=force)
@@ -52,7 +54,7 @@ def command(
         from nnss_cli.validation.trained import simulation_limits
 
         given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
-        limits = simulation_limits(trained, found, interval, interval_by, given)
+        limits = simulation_limits(trained, found, interval, interval_by or "residuals", given)
     require_writable(written[0].parent)
     write_text(written[0], simulated_table(trained, found, states, limits.pair if limits else None))
     for note in trained.origin.notes if trained.origin else ():
@@ -81,7 +83,7 @@ def command(
         for line in limits.told(trained.channels):
             console.print(line, soft_wrap=True, highlight=False)
     if plot:
-        from nnss_cli.report.figures import close_figure, save_figure
+        from nnss_cli.report.figures import save_figure
         from nnss_cli.report.simulation import draw_simulated
 
         figure = draw_simulated(
@@ -89,7 +91,4 @@ def command(
             band=(*limits.pair, limits.name) if limits else None,
         )  # fmt: skip
         save_figure(figure, written[1])
-        close_figure(figure)
-    for path in written:
-        console.print(str(path), soft_wrap=True, highlight=False)
-    emit("end", files=[str(path) for path in written])
+    tell_files(written)

@@ -46,10 +46,12 @@ def command(
 ) -> None:
     """Put a model to the test: errors, residuals, k steps ahead, poles, linearisations; a page of figures, a verdict.
 
-    Stated tests, each at the level of 1 %: residuals one step ahead are white, and independent of the inputs; the
-    model beats persistence one step ahead; its observer is stable. Exit code 1 when one fails.
+    Stated tests: residuals one step ahead are white, and independent of the inputs, each at the level of 1 %; the model
+    beats persistence one step ahead, on validation so does a gain of its own; its observer is stable. Exit code 1 when
+    one fails.
     """
     from nnss_cli.commands.display import console, print_rows
+    from nnss_cli.commands.parameters import refuse_without
     from nnss_cli.errors import InputError
     from nnss_cli.files import places, require_writable
     from nnss_cli.report.style import FORMATS
@@ -59,7 +61,13 @@ def command(
     from nnss_cli.validation.result import as_dict
     from nnss_cli.validation.trained import forecaster, records_to_validate
 
-    if out is not None and not as_json and out.suffix.removeprefix(".") not in FORMATS:
+    if as_json and out is not None:
+        raise InputError(f"--out: --json writes no figure, found '{out}': leave one of them out")
+    if file is None:
+        refuse_without("a FILE", {"--time": time})
+        if data is None:
+            refuse_without("a FILE or --data", {"--ts": Ts, "--sheet": sheet})
+    if out is not None and out.suffix.removeprefix(".") not in FORMATS:
         raise InputError(
             f"--out: expected a figure, such as {out.stem}.{', .'.join(FORMATS)}, found '{out}': rename it"
         )
@@ -91,13 +99,12 @@ def command(
             console.print(line, soft_wrap=True, highlight=False)
         for line in found.verdict:
             console.print(f"- {line}", soft_wrap=True, highlight=False)
-        from nnss_cli.report.figures import close_figure, save_figure
+        from nnss_cli.report.figures import save_figure
         from nnss_cli.report.validation import draw_validation
 
         require_writable(written[0].parent)
         figure = draw_validation(found)
         save_figure(figure, written[0])
-        close_figure(figure)
         console.print(str(written[0]), soft_wrap=True, highlight=False)
     if not found.passed:
         raise typer.Exit(1)

@@ -35,8 +35,17 @@ class Trial:
     """What was searched and what was given: the options that train it."""
 
 
+def searched(given: Settings) -> list[str]:
+    """The settings that a search draws: those of its optimiser that are not given."""
+    adam = given.get("optimiser", "adam") == "adam"
+    names = ["hidden", "encoder", "window", "consistency", *["learning_rate", "batch"] * adam]
+    return [name for name in names if name not in given]
+
+
 def draw(trial: optuna.Trial, shortest: int, given: Settings) -> dict[str, Any]:
     """Widths, depths, λ, learning rate and window, as the paper's Bayesian optimisation varies them, where not given.
+
+    Of Gauss–Newton, whose iterations cost the weights' square, generators are small ones.
 
     Args:
         trial: draws the values.
@@ -44,20 +53,22 @@ def draw(trial: optuna.Trial, shortest: int, given: Settings) -> dict[str, Any]:
         given: settings that are not searched.
     """
     values: dict[str, Any] = {}
-    if "hidden" not in given:
-        values |= {"depth": trial.suggest_int("depth", 1, 6), "width": trial.suggest_int("width", 8, 200, log=True)}
-    if "encoder" not in given:
+    names = searched(given)
+    depth, least, most = (2, 2, 16) if given.get("optimiser") == "gauss-newton" else (6, 8, 200)
+    if "hidden" in names:
+        values["depth"] = trial.suggest_int("depth", 1, depth)
+        values["width"] = trial.suggest_int("width", least, most, log=True)
+    if "encoder" in names:
         values["encoder_depth"] = trial.suggest_int("encoder_depth", 1, 4)
         values["encoder_width"] = trial.suggest_int("encoder_width", 4, 128, log=True)
-    if "window" not in given:
+    if "window" in names:
         values["window"] = trial.suggest_int("window", min(20, shortest), min(400, shortest), log=True)
-    if "consistency" not in given:
+    if "consistency" in names:
         values["consistency"] = trial.suggest_float("consistency", 1e-4, 1.0, log=True)
-    if given.get("optimiser", "adam") == "adam":
-        if "learning_rate" not in given:
-            values["learning_rate"] = trial.suggest_float("learning_rate", 1e-4, 1e-2, log=True)
-        if "batch" not in given:
-            values["batch"] = trial.suggest_categorical("batch", [1, 8, 32, 64])
+    if "learning_rate" in names:
+        values["learning_rate"] = trial.suggest_float("learning_rate", 1e-4, 1e-2, log=True)
+    if "batch" in names:
+        values["batch"] = trial.suggest_categorical("batch", [1, 8, 32, 64])
     return values
 
 
@@ -107,6 +118,7 @@ def tune(
     """
     try:
         import optuna
+        import sqlalchemy.exc
     except ModuleNotFoundError as error:
         raise InputError("tuning needs optuna, which is not installed: pip install 'nnss[tune]'") from error
     if sampler not in SAMPLERS:
@@ -119,7 +131,7 @@ def tune(
             f"judge: tune compares trials epoch by epoch on validation, found {overrides['judge']}: leave --judge out, "
             "and give it to the training of the best one"
         )
-    if {"hidden", "encoder", "window", "consistency", "learning_rate", "batch"} <= overrides.keys():
+    if not searched(overrides):
         raise InputError("tune: every option that it searches is given; leave one of them out, or use 'nnss train'")
     about = {
         "dataset": data.dataset,
@@ -133,11 +145,13 @@ def tune(
     }
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage.parent.mkdir(parents=True, exist_ok=True)
-    done = optuna.load_study if storage.exists() else optuna.create_study
-    options: dict[str, Any] = {
-        "study_name": "nnss", "storage": f"sqlite:///{storage.resolve()}", "pruner": optuna.pruners.MedianPruner(5, 50),
-    }  # fmt: skip
-    study = done(**options)
+    try:
+        study = optuna.create_study(
+            study_name="nnss", storage=f"sqlite:///{storage.resolve()}", pruner=optuna.pruners.MedianPruner(5, 50),
+            load_if_exists=True,
+        )  # fmt: skip
+    except sqlalchemy.exc.DatabaseError as error:
+        raise InputError(f"'{storage}' is no file of a search: remove it, or take another folder with --out") from error
     # each call searches on with a stream of its own: the same stream would try the same recipes again
     stream = seed + 1000 * len(study.trials)
     kind = optuna.samplers.TPESampler if sampler == "tpe" else optuna.samplers.GPSampler

@@ -109,7 +109,6 @@ def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str
     )  # fmt: skip
     name = f"ranks-{protocol}.png"
     figures.save_figure(figure, out / name)
-    figures.close_figure(figure)
     parts += [ranking(table, tests), f"![critical-difference diagram, protocol {protocol}]({name})"]
     return parts + _listed("Left out", left_out)
 
@@ -132,7 +131,6 @@ def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, measure: s
         title,
     )
     figures.save_figure(figure, folder / "order.png")
-    figures.close_figure(figure)
     return [folder / "order.csv", folder / "order.png"]
 
 

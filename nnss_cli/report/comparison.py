@@ -74,15 +74,13 @@ def _write_files(store: Store, made_of: Table, times: bool, look: Look) -> list[
     }
     for name, figure in drawn.items():
         wanted = look.formats or (("png", "svg") if name == "boxplot" else ("png",))
-        for suffix in FORMATS:
-            path = folder / f"{name}.{suffix}"
-            if figure is None or suffix not in wanted:
-                path.unlink(missing_ok=True)  # one of an earlier set of runs, or of an earlier call
-            else:
-                figures.save_figure(figure, path)
-                written.append(path)
+        paths = {suffix: folder / f"{name}.{suffix}" for suffix in FORMATS}
+        drawn_to = [path for suffix, path in paths.items() if figure is not None and suffix in wanted]
+        for path in set(paths.values()) - set(drawn_to):
+            path.unlink(missing_ok=True)  # one of an earlier set of runs, or of an earlier call
         if figure is not None:
-            figures.close_figure(figure)
+            figures.save_figure(figure, *drawn_to)
+        written += drawn_to
     return written
 
 

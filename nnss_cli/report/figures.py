@@ -253,13 +253,10 @@ def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure atomically and close it; equal figures give equal files."""
-    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
-    with plt.rc_context(STYLE):
-        write_atomically(path, lambda temporary: figure.savefig(temporary, metadata=metadata))
-
-
-def close_figure(figure: Figure) -> None:
-    """Free a figure's memory."""
+def save_figure(figure: Figure, *paths: Path) -> None:
+    """Write a figure to each of these files, atomically, and close it; equal figures give equal files."""
+    for path in paths:
+        metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
+        with plt.rc_context(STYLE):
+            write_atomically(path, lambda temporary, about=metadata: figure.savefig(temporary, metadata=about))
     plt.close(figure)

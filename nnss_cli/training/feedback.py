@@ -287,9 +287,9 @@ def feedback_start(
 ) -> bool:
     """Set `model` such that it simulates like a linear one with feedback from its outputs.
 
-    The first layer's sigmoids get the directions of the outputs, with slopes and centres at random, layers between keep
-    their weights, and the last layer is regressed on W and V of A(x) at the training states. The
-    encoder is the regression of these states on the outputs.
+    A generator's first sigmoids get the directions of the outputs, with slopes and centres at random, layers between
+    keep their weights, and the last layer is regressed on W and V of A(x) at the training states. A layer is that of
+    `lure_start`. The encoder is the regression of these states on the outputs.
 
     Args:
         model: initialised weights, changed in place; beside x, what schedules gets no weight.

@@ -25,7 +25,10 @@ CLOSE = 2.0  # percent of fit: as good as the linear limit
 def stated(
     outputs: Sequence[OutputCheck], steps: StepTable, rates: Sequence[float], origins: Sequence[str], channels: Channels
 ) -> tuple[Stated, ...]:
-    """The tests that a model passes or fails. Each has the level of 1 %, shared by its outputs and inputs."""
+    """The tests that a model passes or fails.
+
+    The first two have the level of 1 %, shared by outputs and inputs; the others have none.
+    """
     m, r = len(outputs), len(channels.inputs)
     tests = []
     worst = min(outputs, key=lambda each: each.white.p_value)

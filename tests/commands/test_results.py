@@ -34,6 +34,26 @@ def names(out: Path) -> set[str]:
     return {path.parent.name for path in out.rglob("run.json")}
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        (("simulate", "run", "new.csv", "--data", "other.csv"), "--data: does nothing without --interval"),
+        (("simulate", "run", "new.csv", "--interval-by", "ensemble"), "--interval-by: does nothing without --interval"),
+        (("predict", "run", "new.csv", "--interval-by", "adaptive"), "--interval-by: does nothing without --interval"),
+        (("validate", "run", "--time", "t"), "--time: does nothing without a FILE:"),
+        (("validate", "run", "--ts", "1"), "--ts: does nothing without a FILE or --data"),
+        (("validate", "run", "--sheet", "x"), "--sheet: does nothing without a FILE or --data"),
+        (("validate", "run", "--json", "--out", "x.png"), "--out: --json writes no figure, found 'x.png'"),
+        (("certify", "run", "--ts", "1"), "--ts: does nothing without --data"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(line: tuple[str, ...], told: str, nnss: Callable) -> None:
+    done = nnss(*line)
+    assert done.code == 2
+    assert told in done.err
+    assert done.err.count("\n") == 1
+
+
 def run_file(out: Path, label: str) -> Path:
     return out / "twotank-sim" / "strict" / "runs" / label / "run.json"
 
@@ -155,6 +175,7 @@ def test_runs_of_other_data_do_not_come_beside_those_that_are_there(made: Path, 
 COMPARE = ("compare", "twotank-sim", "--methods", "n4sid", "--orders", "1", "2", "--jobs", "1")
 
 
+@pytest.mark.system
 def test_events_are_one_json_object_a_line(nnss: Callable) -> None:
     told = nnss(*COMPARE, "--json")
     assert (told.code, told.err) == (0, "")
@@ -172,6 +193,7 @@ def test_events_are_one_json_object_a_line(nnss: Callable) -> None:
     assert json.loads(nnss("report", "--json").out.splitlines()[-1])["files"] == ["results/report.md"]
 
 
+@pytest.mark.system
 def test_quiet_is_quiet_but_for_errors(nnss: Callable) -> None:
     told = nnss(*COMPARE, "--quiet")
     assert (told.code, told.out, told.err) == (0, "", "")

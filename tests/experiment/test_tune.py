@@ -1,6 +1,7 @@
 """The search: what it tries is what it prints, given options stay, validation decides."""
 
 import json
+import math
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from nnss_cli.commands.options import as_command_line
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.tune import Trial, settings_of, tune
+from nnss_cli.experiment.tune import Trial, draw, settings_of, tune
 from nnss_cli.methods import METHODS, Fit
 
 optuna = pytest.importorskip("optuna")
@@ -85,10 +86,23 @@ def test_what_is_given_is_kept_and_what_was_tried_is_what_is_printed(
         assert METHODS["nnss"].settings(data, 2, trial.settings) == tried
 
 
+def test_gauss_newton_is_tried_with_small_generators_alone() -> None:
+    """Six layers of 200 units would take it more than ten minutes a trial."""
+
+    def largest(given: dict) -> int:
+        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+        widths = [settings_of(draw(study.ask(), 200, given), given)["hidden"] for _ in range(50)]
+        return max(math.prod(hidden) for hidden in widths)
+
+    assert largest({"optimiser": "gauss-newton"}) <= 16**2
+    assert largest({}) > 100**4
+
+
 def test_with_everything_given_there_is_nothing_to_search(small_data: Callable, tmp_path: Path) -> None:
-    given = {"hidden": (7,), "encoder": (3,), "window": 9, "consistency": 0.1, "learning_rate": 0.1, "batch": 3}
-    with pytest.raises(InputError, match="every option that it searches is given"):
-        tune(small_data().fitting, 2, 1, "tpe", 0, given, tmp_path / "study.db", lambda _: None)
+    widths = {"hidden": (7,), "encoder": (3,), "window": 9, "consistency": 0.1}
+    for all_of_it in (widths | {"learning_rate": 0.1, "batch": 3}, widths | {"optimiser": "lbfgs"}):
+        with pytest.raises(InputError, match="every option that it searches is given"):
+            tune(small_data().fitting, 2, 1, "tpe", 0, all_of_it, tmp_path / "study.db", lambda _: None)
     assert not (tmp_path / "study.db").exists()
 
 
@@ -153,6 +167,19 @@ def test_a_study_goes_on_with_the_same_data_and_versions_alone(
     monkeypatch.setattr("nnss_cli.experiment.tune.__version__", "0.0")
     with pytest.raises(InputError, match=r"holds a study with nnss \S+ instead of 0\.0:"):
         search(monkeypatch, tmp_path, small_data(seed=1).fitting, {}, [1.0], trials=1)
+
+
+def test_a_file_without_a_study_gets_one_and_a_file_of_something_else_is_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_data: Callable
+) -> None:
+    """A command that was killed as it began leaves the first."""
+    (tmp_path / "study.db").touch()
+    found, _ = search(monkeypatch, tmp_path, small_data().fitting, {}, [1.0], trials=1)
+    assert [trial.state for trial in found] == ["complete"]
+    (tmp_path / "study.db").write_text("my notes\n" * 100)
+    with pytest.raises(InputError, match="study.db' is no file of a search: remove it"):
+        search(monkeypatch, tmp_path, small_data().fitting, {}, [1.0], trials=1)
+    assert (tmp_path / "study.db").read_text() == "my notes\n" * 100
 
 
 def test_a_trial_that_torch_refuses_is_a_failed_trial(

@@ -170,6 +170,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trained
     return model
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize(
     "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("quadratic", "float32", "ensemble"))]
@@ -206,6 +207,7 @@ STATED = {
 of states relative to 1 + |z|."""
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("target", "what"), [(target, what) for target, own in STATED.items() for what in own])
 def test_an_export_is_refused_ten_times_the_stated_tolerance_away(
     target: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -330,6 +332,7 @@ def test_the_certificate_in_words_tells_the_largest_radius() -> None:
     assert "spectral radius of A at most 0.75 along the records, 0.875 found in their box" in line
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "target", ["c", "mat", *(pytest.param(each, marks=pytest.mark.slow) for each in ("control", "casadi", "onnx"))]
 )
@@ -411,6 +414,7 @@ def test_a_start_that_is_not_the_models_is_said(target: str, tmp_path: Path, mon
             assert "Start:" not in (tmp_path / "plain" / path.name).read_text(encoding="utf-8")
 
 
+@pytest.mark.system
 def test_c_uses_no_library_function_but_exp(tried: Callable, tmp_path: Path) -> None:
     for i, kind in enumerate([("quadratic", "x+u", 3, (1, 1)), ("schur", "x", 3, (2, 3))]):
         model, facts, trial = tried(*kind)
@@ -454,6 +458,7 @@ def test_comments_cannot_be_left(tmp_path: Path) -> None:
         assert export(model, target, tmp_path / target).files
 
 
+@pytest.mark.system
 def test_the_module_of_control_stands_alone(tried: Callable, tmp_path: Path) -> None:
     """In an interpreter that cannot import nnss."""
     model, facts, trial = tried("schur", "x+u+y", 4, (2, 3))
@@ -476,6 +481,7 @@ def test_octave_runs_the_functions(tried: Callable, tmp_path: Path) -> None:
     assert found.simulation <= 1e-12
 
 
+@pytest.mark.system
 def test_the_command_exports(
     nnss: Callable, trained: Callable[[str], TrainedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -490,6 +496,9 @@ def test_the_command_exports(
     refused = nnss("export", folder, "--to", "c", "--out", "firmware", "--name", "tank")
     assert (refused.code, Path("firmware/tank.c").read_text()) == (2, "mine")
     assert "Start:" not in done.out
+    told = json.loads(nnss("export", folder, "--to", "c", "--out", "other", "--json").out)
+    assert told["files"] == [f"other/model.{suffix}" for suffix in ("c", "h", "json")]
+    assert [each["what"] for each in told["parity"]] == ["C99, double", "C99, float"]
     monkeypatch.setattr(TrainedModel, "init_window", 20)
     done = nnss("export", folder, "--to", "mat", "--out", "matlab")
     assert done.code == 0, done.err

@@ -17,7 +17,7 @@ from nnss_cli.report.timeplots import _draw_inputs, _unit, draw_simulation
 def panel() -> Iterator[Axes]:
     figure = figures.plt.figure()
     yield figure.subplots()
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_title_is_broken_where_its_figure_ends_and_where_it_says() -> None:
@@ -55,7 +55,7 @@ def arrangement(panels: int, columns: int | None) -> list[int]:
     values = {f"p{i}": SAMPLE for i in range(panels)}
     figure = draw_boxplot(values, dict.fromkeys(values, "RMSE"), "x", None, Look(columns=columns))
     rows = [panel.get_subplotspec().rowspan.start for panel in figure.axes]
-    figures.close_figure(figure)
+    figures.plt.close(figure)
     return [rows.count(row) for row in sorted(set(rows))]
 
 
@@ -81,16 +81,16 @@ def test_a_legend_is_as_wide_as_its_panels_allow(panels: int, columns: int) -> N
     values = {f"p{i}": methods for i in range(panels)}
     figure = draw_boxplot(values, dict.fromkeys(values, "RMSE"), "x")
     assert figure.legends[0]._ncols == columns
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_box_has_the_looks_of_its_method_and_a_title_only_where_one_is_told() -> None:
     figure = draw_boxplot({"a": SAMPLE}, {"a": "RMSE"}, "x", {"a": "first"})
     assert figure.axes[0].get_title() == "first"
-    figures.close_figure(figure)
+    figures.plt.close(figure)
     figure = draw_boxplot({"a": SAMPLE}, {"a": "RMSE"}, "x")
     assert figure.axes[0].get_title() == ""
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 # inputs
@@ -143,7 +143,7 @@ def test_each_output_has_its_residuals_below_and_inputs_come_last() -> None:
         assert len(figure.axes[2 * output].lines) == 4
     assert [panel.get_xlabel() for panel in figure.axes] == [""] * 4 + ["time [s]"]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["measured", "NN-SS a", "N4SID b"]
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_zoom_has_panels_of_its_own_at_every_width() -> None:
@@ -152,7 +152,7 @@ def test_a_zoom_has_panels_of_its_own_at_every_width() -> None:
         assert len(figure.axes) == panels, columns
         if columns:
             assert figure.get_figwidth() == Look(columns=columns).width
-        figures.close_figure(figure)
+        figures.plt.close(figure)
 
 
 def test_a_part_is_said_to_be_one_above_its_first_panel_alone() -> None:
@@ -162,7 +162,7 @@ def test_a_part_is_said_to_be_one_above_its_first_panel_alone() -> None:
     assert [len(panel.patches) for panel in (whole, part, low, low_part)] == [1, 0, 1, 0]
     (marked,) = low.patches
     assert (marked.get_x(), marked.get_width()) == (5.0, 3.0)
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_curves_begin_at_the_left_end_and_values_have_a_few_ticks() -> None:
@@ -173,4 +173,4 @@ def test_curves_begin_at_the_left_end_and_values_have_a_few_ticks() -> None:
         assert (
             2 <= len([tick for tick in panel.get_yticks() if panel.get_ylim()[0] <= tick <= panel.get_ylim()[1]]) <= 5
         )
-    figures.close_figure(figure)
+    figures.plt.close(figure)

@@ -35,7 +35,7 @@ def kept() -> Iterator[Callable[[Figure], Figure]]:
 
     yield keep
     for figure in opened:
-        figures.close_figure(figure)
+        figures.plt.close(figure)
 
 
 def legend(figure: Figure) -> list[str]:

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
 from nnss_cli.report import inspection as report
-from nnss_cli.report.figures import close_figure, save_figure
+from nnss_cli.report.figures import plt, save_figure
 
 LONG = "the_setting_of_the_main_steam_valve_of_boiler_number_2_before_the_turbine", "feed water, after the second pump"
 LONG_OUTPUTS = "pressure behind the superheater at the turbine inlet (absolute)", "_level$ of drum_1$"
@@ -68,7 +68,7 @@ def test_no_text_overlaps_or_leaves_the_figure(r: int, m: int, names: bool) -> N
         assert min(box.x0, box.y0) >= -1, text
         assert box.x1 <= figure.bbox.width + 1, text
         assert box.y1 <= figure.bbox.height + 1, text
-    close_figure(figure)
+    plt.close(figure)
 
 
 def test_labels_carry_units_and_lines_differ_in_grey() -> None:
@@ -81,16 +81,17 @@ def test_labels_carry_units_and_lines_differ_in_grey() -> None:
     assert "$ of drum" not in said.replace(r"\$", "")
     (spectra,) = (axes for axes in figure.findobj(lambda a: hasattr(a, "get_ylabel")) if "density" in axes.get_ylabel())
     assert len({(line.get_linestyle(), str(line._dash_pattern)) for line in spectra.lines}) == 4
-    close_figure(figure)
+    plt.close(figure)
 
 
+@pytest.mark.system
 def test_twelve_channels_are_apart_in_colour_and_line() -> None:
     figure = report.draw_inspection(record(8, 7), "x")
     (spectra,) = (axes for axes in figure.findobj(lambda a: hasattr(a, "get_ylabel")) if "density" in axes.get_ylabel())
     assert len(spectra.lines) == 12
     assert len({line.get_color() for line in spectra.lines}) == 12
     assert len({(line.get_linestyle(), str(line._dash_pattern)) for line in spectra.lines}) == 12
-    close_figure(figure)
+    plt.close(figure)
 
 
 @pytest.mark.parametrize("Ts", [0.1, 1228.0, 1e-5])
@@ -105,7 +106,7 @@ def test_logarithmic_axes_have_plain_numbers_that_do_not_touch(Ts: float) -> Non
         shared = Bbox.intersection(a, b)
         assert shared is None or min(shared.width, shared.height) < 1, (one, two)
     assert "u\n[V]" in [text for text, _ in found]  # the unit once
-    close_figure(figure)
+    plt.close(figure)
 
 
 def test_equal_records_give_equal_files(tmp_path: Path) -> None:
@@ -138,6 +139,7 @@ def test_rows_say_what_is_known() -> None:
 SIGNAL = hnp.arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 2.5, -1e308, 1.7e308, 5e-324, np.nan]))
 
 
+@pytest.mark.system
 @settings(max_examples=12)
 @given(st.lists(SIGNAL, max_size=3), st.integers(0, 3), st.sampled_from([None, 1e-9]), st.sampled_from([0, 1, 3, 40]))
 def test_any_record_is_drawn_and_tabled(columns: list[FloatArray], r: int, Ts: float | None, K: int) -> None:
@@ -146,6 +148,6 @@ def test_any_record_is_drawn_and_tabled(columns: list[FloatArray], r: int, Ts: f
     found = examine(inputs, {name: x for name, x in named.items() if name not in inputs}, Ts)
     figure = report.draw_inspection(found, "nasty")
     figure.canvas.draw()
-    close_figure(figure)
+    plt.close(figure)
     for row in all_rows(found):
         assert not {"nan", "inf", "None"} & set(row.values()), row

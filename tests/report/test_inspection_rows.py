@@ -15,7 +15,7 @@ from nnss_cli.experiment.inspection_result import Delay, Envelope, Excitation, I
 from nnss_cli.experiment.inspection_signals import Channel, Clock, Persistency
 from nnss_cli.experiment.inspection_split import Part, Split
 from nnss_cli.report import inspection as report
-from nnss_cli.report.figures import close_figure
+from nnss_cli.report.figures import plt
 
 VALVE = Channel(
     "valve", "input", "%", 900, 3, 2, 0.0, 123456.789, 2 / 3, 1.23456, 1201, "continuous", 899,
@@ -115,7 +115,7 @@ def drawn() -> Iterator[Any]:
 
     yield draw
     for figure in figures:
-        close_figure(figure)
+        plt.close(figure)
 
 
 def test_every_channel_is_drawn_over_time_and_experiments_are_parted(drawn: Any) -> None:

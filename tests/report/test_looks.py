@@ -33,7 +33,7 @@ def test_the_range_that_had_one_tick() -> None:
     figure = figures.draw_boxplot({"test": {"nnss": {2: [95.0, 120.0, 195.0]}}}, {"test": "RMSE"}, "x")
     figure.canvas.draw()
     assert len([text for text in figure.axes[0].get_yticklabels() if text.get_text()]) >= 2
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def grey(colour: str) -> float:
@@ -101,7 +101,7 @@ def test_a_simulation_shows_residuals_and_inputs_and_names_the_zooms_axis() -> N
     for panel, K in zip(panels[1], (400, 50), strict=True):
         np.testing.assert_allclose(panel.lines[0].get_ydata(), np.full(K, -0.25))
     np.testing.assert_array_equal(panels[2, 0].lines[0].get_ydata(), u)
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() -> None:
@@ -118,7 +118,7 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     assert (len(whole.collections), len(whole.patches)) == (1, 1)  # the envelope, and where the zoom is
     assert all(len(line.get_ydata()) == BINS for line in whole.lines[:2])
     assert [len(line.get_ydata()) for line in zoom.lines] == [160, 160]
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 @pytest.mark.parametrize("outputs", [1, 3])
@@ -149,7 +149,7 @@ def test_in_one_column_the_zoom_stands_below_with_all_its_panels(outputs: int) -
     width, height = figure.get_size_inches()
     assert width == 3.5
     assert height <= 9.2  # of a page's text
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_simulation_that_goes_far_away_does_not_hide_the_others() -> None:
@@ -163,11 +163,11 @@ def test_a_simulation_that_goes_far_away_does_not_hide_the_others() -> None:
     low, high = residual.get_ylim()
     assert -5.5 < low < -4  # of what stays in view
     assert 4 < high < 5.6
-    figures.close_figure(figure)
+    figures.plt.close(figure)
     del simulated["n4sid"], simulated["ssest"]
     figure = draw_simulation(t, y, simulated, [Axis("level", "m")], "s", "x", residuals=True)
     assert figure.axes[0].get_title(loc="right") == ""
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_a_dense_signal_alone_is_one_filled_band_and_said_to_be_an_envelope() -> None:
@@ -177,7 +177,7 @@ def test_a_dense_signal_alone_is_one_filled_band_and_said_to_be_an_envelope() ->
     figure = draw_states(t, x, y, [Axis("y", "–")], "s", "x")
     assert [(len(panel.collections), len(panel.lines)) for panel in figure.axes] == [(1, 0), (1, 0), (0, 1)]
     assert [panel.get_title(loc="left") for panel in figure.axes] == ["envelope: least and largest values", "", ""]
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_what_is_simulated_of_a_dense_file_is_said_to_be_an_envelope() -> None:
@@ -188,7 +188,7 @@ def test_what_is_simulated_of_a_dense_file_is_said_to_be_an_envelope() -> None:
         figure = draw_simulated(t, u, 1.1 * y, y, channels, "a model")
         assert figure.axes[0].get_title(loc="left") == said
         assert len(figure.axes[1].collections) == bool(said)  # the residual: one band
-        figures.close_figure(figure)
+        figures.plt.close(figure)
 
 
 def test_linear_axes_have_round_numbers() -> None:
@@ -199,7 +199,7 @@ def test_linear_axes_have_round_numbers() -> None:
     figure.canvas.draw()
     assert {"30", "35"} <= {label.get_text() for label in figure.axes[1].get_xticklabels()}
     assert {"−5", "0", "5"} <= {label.get_text() for label in figure.axes[0].get_yticklabels()}
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 @pytest.mark.parametrize("columns", [1, 2])
@@ -211,7 +211,7 @@ def test_no_figure_for_a_paper_is_higher_than_its_page(columns: int) -> None:
         draw_states(t, np.zeros((50, 9)), y, [Axis(f"y{i}", "–") for i in range(4)], "s", "x", look=Look((), columns)),
     ):
         assert drawn.get_figheight() == 9.2
-        figures.close_figure(drawn)
+        figures.plt.close(drawn)
 
 
 def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_few_instants() -> None:
@@ -226,14 +226,14 @@ def test_an_input_that_alone_is_dense_is_said_to_be_an_envelope_and_a_zoom_has_f
     assert titles == [["", "a part of it"], ["", ""], ["envelope: least and largest values", ""]]
     low, high = panels[2, 1].get_xlim()
     assert 2 <= sum(low <= tick <= high for tick in panels[2, 1].get_xticks()) <= 5
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
 def test_seeds_are_told_of_methods_that_have_some(result: Callable) -> None:
     def title(*methods: str) -> str:
         figure = _boxplot([result(name, seed) for name in methods for seed in range(3 if name == "nnss" else 1)])
         text = " ".join(figure.get_suptitle().split())  # it may be in lines
-        figures.close_figure(figure)
+        figures.plt.close(figure)
         return text.partition("RMSE")[2]
 
     assert title("n4sid", "ssest") == " of level"
@@ -245,9 +245,10 @@ def test_a_test_set_is_called_test_once(result: Callable) -> None:
     figure = _boxplot([result("n4sid", 0, tests=("test_1", "multisine"))])
     assert [panel.get_title() for panel in figure.axes] == ["test_1", "test multisine"]
     assert [panel.get_ylabel() for panel in figure.axes] == ["RMSE [m]"] * 2
-    figures.close_figure(figure)
+    figures.plt.close(figure)
 
 
+@pytest.mark.system
 def test_figures_come_in_formats_and_widths(nnss: Callable) -> None:
     compare = ("compare", "twotank-sim", "--methods", "n4sid", "--orders", "1", "--jobs", "1")
     done = nnss(*compare, "--format", "pdf", "svg", "--columns", "1")

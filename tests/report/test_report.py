@@ -17,7 +17,7 @@ from nnss_cli.report.aggregate import COLUMNS, best_run, long_table, released_ta
 from nnss_cli.report.build import write_report
 from nnss_cli.report.comparison import _boxplot, joined, record_lengths, transient, write_comparison
 from nnss_cli.report.evidence import intervals, not_the_papers, optimism, paper_comparison, released_comparison
-from nnss_cli.report.figures import close_figure
+from nnss_cli.report.figures import plt
 from nnss_cli.report.tables import rmse_markdown, terminal_rows, terminal_title
 
 CHANNELS = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
@@ -123,7 +123,7 @@ def test_runs_without_a_result_count() -> None:
 def boxplot_title(results: list[RunResult]) -> str:
     figure = _boxplot(results)
     title = " ".join(figure.get_suptitle().split())  # it may be in lines
-    close_figure(figure)
+    plt.close(figure)
     return title
 
 
@@ -242,6 +242,7 @@ def test_two_records_are_both_drawn() -> None:
     assert joined(signals, "test", "y").ravel().tolist() == [0.0] * 4 + [1.0] * 6
 
 
+@pytest.mark.system
 def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> None:
     out = tmp_path / "results"
     outcome = nnss(
@@ -263,6 +264,7 @@ def test_everything_is_rebuilt_from_disk_to_the_bit(tmp_path: Path, nnss) -> Non
     assert write_comparison(Store(out, "twotank-sim", "paper"))
 
 
+@pytest.mark.system
 def test_equal_runs_give_equal_files_without_times(tmp_path: Path, nnss) -> None:
     files = []
     for name in ("one", "two"):

@@ -31,8 +31,7 @@ class Drawn:
         for module, names in places.items():
             for name in names:
                 monkeypatch.setattr(module, name, self.recorder(name))
-        monkeypatch.setattr(figures, "save_figure", lambda figure, path: path.write_text(figure.name))
-        monkeypatch.setattr(figures, "close_figure", self.close)
+        monkeypatch.setattr(figures, "save_figure", self.save)
 
     def recorder(self, name: str) -> Callable[..., Any]:
         def draw(*args: Any) -> Any:
@@ -41,7 +40,9 @@ class Drawn:
 
         return draw
 
-    def close(self, _: Any) -> None:
+    def save(self, figure: Any, *paths: Path) -> None:
+        for path in paths:
+            path.write_text(figure.name)
         self.closed += 1
 
 

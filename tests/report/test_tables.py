@@ -33,7 +33,7 @@ from nnss_cli.report.aggregate import (
 )
 from nnss_cli.report.comparison import _boxplot, record_lengths, starts, transient
 from nnss_cli.report.evidence import intervals, optimism
-from nnss_cli.report.figures import close_figure
+from nnss_cli.report.figures import plt
 from nnss_cli.report.listing import group_rows, run_rows
 from nnss_cli.report.simulation import draw_simulated, error_rows
 from nnss_cli.report.statistics import quartile_interval, ratio, verdict
@@ -337,7 +337,7 @@ def test_a_box_plot_says_whose_errors_it_shows(
     assert figure is not None
     assert figure.get_suptitle() == title
     assert [(axis.get_title(), axis.get_ylabel()) for axis in figure.axes] == panels
-    close_figure(figure)
+    plt.close(figure)
     assert _boxplot([run()]) is None
 
 
@@ -410,12 +410,12 @@ def test_a_simulated_file_is_drawn_over_what_was_measured_with_its_inputs_below(
         assert held.get_ydata().tolist() == u[:, i].tolist()
         assert held.get_drawstyle() == "steps-post"
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["measured", "predicted", "90 %"]
-    close_figure(figure)
+    plt.close(figure)
     alone = draw_simulated(time, u, y, None, channels, "the model")
     assert [text.get_text() for text in alone.legends[0].get_texts()] == ["simulated"]
     assert [axis.get_ylabel() for axis in alone.axes] == ["x [m]", "y [K]", "a [V]", "b"]
     assert len(alone.axes[0].lines) == 1
-    close_figure(alone)
+    plt.close(alone)
 
 
 def test_quartiles_have_three_digits_and_fit_its_column(result: Callable) -> None:

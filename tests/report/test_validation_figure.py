@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from nnss_cli.datasets.record import Channels
 
 from nnss_cli.report import validation as report
-from nnss_cli.report.figures import close_figure
+from nnss_cli.report.figures import plt
 from nnss_cli.validation.gain import ALONE
 from nnss_cli.validation.linearisation import Linearisations, OperatingPoint
 from nnss_cli.validation.predictor import StepTable
@@ -78,7 +78,7 @@ def test_the_factor_of_an_axis_is_clear_of_the_legend_above_it() -> None:
         factor, legend = panel.yaxis.get_offset_text(), panel.get_legend()
         assert factor.get_text().startswith("1e")
         assert not factor.get_window_extent().overlaps(legend.get_window_extent())
-    close_figure(figure)
+    plt.close(figure)
 
 
 def test_a_guard_says_how_much_persistence_had() -> None:
@@ -140,7 +140,7 @@ def page() -> Iterator[Any]:
 
     yield draw
     for _, figure in drawn.values():
-        close_figure(figure)
+        plt.close(figure)
 
 
 def entries(panel: Axes) -> list[str]:
