@@ -24,6 +24,7 @@ import math
 
 import numpy as np
 import scipy.linalg
+from nnss_cli.baselines.statespace import spectral_radius
 from nnss_cli.datasets.record import FloatArray
 
 from nnss_cli.errors import InputError
@@ -75,10 +76,7 @@ def schur_inverse(
     Raises:
         InputError: ρ(A) ≥ γ, or so little below that S has no room for the margin; no W, V are known then.
     """
-    n = len(A)
-    radius = float(np.abs(np.linalg.eigvals(A)).max())
-    if not radius < gamma:
-        raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
+    n, radius = len(A), _radius_below(A, gamma)
     if P is None:
         P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(n)) / gamma**2
     S = np.block([[gamma**2 * P, A @ P], [P @ A.T, P]])
@@ -151,15 +149,20 @@ def bounded_real_basis(
     return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
 
 
+def _radius_below(A: FloatArray, gamma: float) -> float:
+    radius = spectral_radius(A)
+    if not radius < gamma:
+        raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
+    return radius
+
+
 def contracting_basis(A: FloatArray, gamma: float = 1.0) -> FloatArray:
     """T (n, n) such that ‖T A T⁻¹‖₂ < γ: T = P^(−1/2) with γ²P − A P Aᵀ = I.
 
     Raises:
         InputError: ρ(A) ≥ γ, so there is none, or so near to it that rounding leaves none.
     """
-    radius = float(np.abs(np.linalg.eigvals(A)).max())
-    if not radius < gamma:
-        raise InputError(f"A has spectral radius {radius:.6g}: expected less than gamma = {gamma:g}; raise gamma")
+    radius = _radius_below(A, gamma)
     P = scipy.linalg.solve_discrete_lyapunov(A / gamma, np.eye(len(A)))
     values, vectors = np.linalg.eigh((P + P.T) / 2)
     if not values[0] > 0:

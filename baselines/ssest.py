@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from nnss_cli.baselines import kernels
 from nnss_cli.baselines.n4sid import matlab_horizon, n4sid_candidates
-from nnss_cli.baselines.statespace import LONG, LinearStateSpace, scored_residuals, simulation_rms
+from nnss_cli.baselines.statespace import LONG, LinearStateSpace, scored_residuals, simulation_rms, spectral_radius
 from nnss_cli.baselines.subspace import BLOCK, inverse_root, triangularise
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.datasets.windows import beginnings
@@ -95,7 +95,7 @@ class _Problem:
 
     def residuals(self, point: _Point) -> FloatArray | None:
         """y − ŷ of all records (K, m); None for an unstable point."""
-        if np.abs(np.linalg.eigvals(point.A)).max() >= 1:
+        if spectral_radius(point.A) >= 1:
             return None
         parts = []
         for record in self.records:

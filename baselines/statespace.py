@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, unscored
 from numpy.typing import NDArray
 
 LONG = 8192  # samples, of all runs together, from which on machine code repays its loading (0.3 s) in a few calls
@@ -57,6 +57,11 @@ def propagate(A: FloatArray, w: FloatArray, x0: FloatArray) -> FloatArray:
         for k in range(blocks * b, K):
             x[..., k + 1, :] = x[..., k, :] @ A.T + w[..., k, :]
     return x
+
+
+def spectral_radius(A: FloatArray) -> float:
+    """ρ(A), the largest modulus of an eigenvalue; x(k+1) = A x(k) is stable below 1."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +148,7 @@ class LinearStateSpace:
 
     def spectral_radius(self) -> float:
         """Largest modulus of a pole; the system is stable below 1."""
-        return float(np.abs(self.poles()).max())
+        return spectral_radius(self.A)
 
     def dc_gain(self) -> FloatArray:
         """Steady-state gain C (I − A)⁻¹ B + D (m, r); inf for a system with a pole at 1."""
@@ -227,9 +232,7 @@ def scored_residuals(model: LinearStateSpace, records: tuple[Record, ...], init_
     w = init_window
     return np.concatenate(
         [
-            (record.y - model.simulate(record.u, model.state_from_outputs(record.y[:w], record.u))[0])[
-                w if w > 1 else 0 :
-            ]
+            (record.y - model.simulate(record.u, model.state_from_outputs(record.y[:w], record.u))[0])[unscored(w) :]
             for record in records
         ]
     )

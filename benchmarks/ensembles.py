@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 from nnss_cli.datasets.catalog.simulated import NOISE, draw
-from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Record, Scaling
+from nnss_cli.datasets.record import Channels, FittingData, FloatArray, Record, Scaling, unscored
 from tabulate import tabulate
 
 from nnss_cli.methods import METHODS, Model
@@ -95,7 +95,7 @@ def fitting(train: Record, val: Record, init_window: int) -> FittingData:
 def error(model: Model, tests: list[Record], data: FittingData) -> float:
     """RMSE over the test records after the init window, /σ of the training outputs."""
     w = data.init_window
-    begin = w if w > 1 else 0
+    begin = unscored(w)
     off = [(model.simulate(test.u, test.y[:w]).y - test.y)[begin:] for test in tests]
     return float(np.sqrt(np.mean(np.square(np.concatenate(off)))) / data.scaling.y_std[0])
 

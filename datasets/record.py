@@ -187,6 +187,11 @@ def _kind(record: Record) -> str:
     return f"{r} input{'s' * (r != 1)}, {m} output{'s' * (m != 1)} and Ts = {record.Ts:.12g} s"
 
 
+def unscored(init_window: int) -> int:
+    """First samples of a record that are not scored: those that tell x(0) where they are several, else none."""
+    return init_window if init_window > 1 else 0
+
+
 @dataclass(frozen=True)
 class FittingData:
     """All that a method may see: it holds no test record, so nothing can be chosen on one."""

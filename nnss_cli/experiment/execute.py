@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from nnss_cli.datasets.record import Dataset
+from nnss_cli.datasets.record import Dataset, unscored
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.origin import with_origin
 from nnss_cli.experiment.provenance import Watch, here
@@ -135,7 +135,7 @@ def simulate_splits(model: Model, dataset: Dataset) -> tuple[list[Score], Tensor
     Where more than one sample tells x(0), these are not scored.
     """
     window = dataset.fitting.init_window
-    begin = window if window > 1 else 0
+    begin = unscored(window)
     scores: list[Score] = []
     signals: Tensors = {}
     for split, records in dataset.splits().items():

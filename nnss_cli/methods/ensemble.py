@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nnss_cli.datasets.record import FittingData
+from nnss_cli.datasets.record import FittingData, unscored
 from nnss_cli.iterative import EpochCallback
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.methods.nnss import NNSS
@@ -32,7 +32,7 @@ def better_half(candidates: Sequence[Any], data: FittingData) -> tuple[Any, ...]
     half of the validation record to the other.
     """
     w = data.init_window
-    begin = w if w > 1 else 0
+    begin = unscored(w)
     y = np.concatenate([record.y[begin:] for record in data.val])
 
     def error(model: Any) -> float:

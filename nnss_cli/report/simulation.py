@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.datasets.record import Channels, FloatArray, unscored
 from nnss_cli.datasets.units import titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.cells import whole
@@ -40,7 +40,7 @@ def missing_lines(measured: FloatArray | None, channels: Channels, init_window: 
     if measured is None:
         return ["Nothing to compare with: the file has no outputs beyond those of the start."]
     lines = []
-    for name, there in zip(channels.outputs, np.isfinite(measured[init_window * (init_window > 1) :]).T, strict=True):
+    for name, there in zip(channels.outputs, np.isfinite(measured[unscored(init_window) :]).T, strict=True):
         if lost := int(np.sum(~there)):
             rest = "errors are over the others" if there.any() else "there is nothing to compare with"
             lines.append(f"'{name}': {lost} of {len(there)} samples are missing: {rest}.")

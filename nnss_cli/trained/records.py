@@ -22,7 +22,7 @@ from nnss_cli.datasets.formats import (
     times,
 )
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, unscored
 from nnss_cli.errors import InputError
 from nnss_cli.trained.model import TrainedModel
 
@@ -93,7 +93,7 @@ def read_timed(
     names = (*model.channels.inputs, *model.channels.outputs)
     values, table, t = _columns(model, path, names, time, Ts, sheet)
     check_complete(values, names, lambda k: place(table, k), FILL)
-    _check_length(path, len(values), model.init_window + (model.init_window > 1), model.init_window)
+    _check_length(path, len(values), unscored(model.init_window) + 1, model.init_window)
     r = len(model.channels.inputs)
     return Record(values[:, :r], values[:, r:], model.Ts), t
 

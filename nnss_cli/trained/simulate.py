@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling
+from nnss_cli.datasets.record import Channels, FloatArray, Record, Scaling, unscored
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.experiment.run import Score, score_outputs
 from nnss_cli.trained.model import TrainedModel
@@ -122,7 +122,7 @@ def simulate_file(
     require_finite(f"'{Path(path).name}': the simulation", simulation.y)
     if found.y is None:
         return Simulated(found.u, simulation.y, simulation.x, None, (), found.t)
-    begin = model.init_window if model.init_window > 1 else 0
+    begin = unscored(model.init_window)
     whole = np.isfinite(found.y).all(axis=1)
     scaling = model.scaling or Scaling.of((Record(found.u[whole], found.y[whole], model.Ts),))
     scores: list[Score] = []

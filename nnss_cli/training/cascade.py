@@ -17,7 +17,6 @@ order of a Schur form.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -26,10 +25,8 @@ import numpy as np
 import scipy.linalg
 import torch
 
-from nnss_cli.baselines.schur import contracting_basis
-from nnss_cli.baselines.statespace import LinearStateSpace
-from nnss_cli.datasets.record import FloatArray, Record
-from nnss_cli.errors import InputError
+from nnss_cli.baselines.statespace import LinearStateSpace, spectral_radius
+from nnss_cli.datasets.record import FloatArray, Record, unscored
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import Lure, PlainArrays
 from nnss_cli.model.initial import spread_of, state_from_window
@@ -42,7 +39,7 @@ from nnss_cli.training.feedback import TOO_LARGE
 from nnss_cli.training.gauss_newton import ahead
 from nnss_cli.training.least_squares import Block, NormalEquations, levenberg_marquardt
 from nnss_cli.training.lure import plain_sensitivities
-from nnss_cli.training.lure_start import SLOPES, matrix, start_layer, transformed
+from nnss_cli.training.lure_start import SLOPES, matrix, midway_basis, start_layer, transformed
 from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers, encoder_of_states
 
 APART = 0.02
@@ -77,7 +74,7 @@ class Cascade:
     @property
     def radius(self) -> float:
         """The larger one of ρ(A₁) and ρ(A₂)."""
-        return max(radius(part) for part in parts(self.plain.A, self.downstream))
+        return max(spectral_radius(part) for part in parts(self.plain.A, self.downstream))
 
     def states(self, u: FloatArray, x0: FloatArray) -> FloatArray:
         """x (K, n) of inputs (K, r); not finite where it leaves the range."""
@@ -107,14 +104,14 @@ class Cascade:
         return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
 
     def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray) -> float:
-        """Mean square error of free simulations from w first outputs, unscored where several, guessed by E y(0) + e.
+        """Mean square error of free simulations from w first outputs, guessed by E y(0) + e.
 
         LLᵀ is the covariance of what such guesses are off by, L the spread (n, n).
         """
-        errors, unscored = [], w if w > 1 else 0
+        errors = []
         for record in val:
             x = self.states(record.u, self.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread))
-            errors.append((self.outputs(record.u, x) - record.y)[unscored:])
+            errors.append((self.outputs(record.u, x) - record.y)[unscored(w) :])
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.mean(np.square(np.concatenate(errors))))
         return error if np.isfinite(error) else np.inf
@@ -364,16 +361,13 @@ def basis(plain: PlainArrays, downstream: int, a: Architecture) -> tuple[FloatAr
         downstream: number of states that the units drive.
         a: γ and Γ.
     """
-    own = []
-    for part in parts(plain.A, downstream):
-        try:
-            own.append(contracting_basis(part, math.sqrt((radius(part) ** 2 + a.gamma**2) / 2)))
-        except InputError:
-            return None
+    upper, lower = (midway_basis(part, a.gamma) for part in parts(plain.A, downstream))
+    if upper is None or lower is None:
+        return None
     found: list[tuple[float, FloatArray, float]] = []
-    seen = float(np.linalg.norm(plain.G[:, downstream:] @ np.linalg.inv(own[1]), 2))
+    seen = float(np.linalg.norm(plain.G[:, downstream:] @ np.linalg.inv(lower), 2))
     for delta in DELTAS:
-        T = scipy.linalg.block_diag(delta * own[0], own[1])
+        T = scipy.linalg.block_diag(delta * upper, lower)
         moved = transformed(plain, T)
         for share in SHARES:
             weight = 2 * share / max(seen, 1e-12)
@@ -389,11 +383,6 @@ def basis(plain: PlainArrays, downstream: int, a: Architecture) -> tuple[FloatAr
 def parts(A: FloatArray, downstream: int) -> tuple[FloatArray, FloatArray]:
     """A₁ and A₂."""
     return A[:downstream, :downstream], A[downstream:, downstream:]
-
-
-def radius(A: FloatArray) -> float:
-    """ρ(A)."""
-    return float(np.abs(np.linalg.eigvals(A)).max())
 
 
 def cascade_start(

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, unscored
 from nnss_cli.model.initial import SINGULAR, spread_of
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import Tensors
@@ -216,7 +216,6 @@ def free_run_rmse(engine: Engine, records: tuple[Record, ...], init_window: int 
 
 def free_run_errors(engine: Engine, records: tuple[Record, ...], init_window: int = 1) -> list[FloatArray]:
     """Errors (K, m) of a free simulation of each record, in normalised units; see `free_run_rmse`."""
-    w = init_window
-    begin = w if w > 1 else 0
+    begin = unscored(init_window)
     with np.errstate(over="ignore", invalid="ignore"):
-        return [(engine.free_run(record.u, record.y[:w]) - record.y)[begin:] for record in records]
+        return [(engine.free_run(record.u, record.y[:init_window]) - record.y)[begin:] for record in records]

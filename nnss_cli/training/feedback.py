@@ -27,7 +27,7 @@ import torch
 
 from nnss_cli.baselines.schur import bounded_real_basis
 from nnss_cli.baselines.statespace import LinearStateSpace
-from nnss_cli.datasets.record import FloatArray, Record
+from nnss_cli.datasets.record import FloatArray, Record, unscored
 from nnss_cli.model.incremental import PlainArrays
 from nnss_cli.model.initial import spread_of, state_from_window
 from nnss_cli.model.nnss import NNSS
@@ -231,8 +231,8 @@ def fit_feedback(
     problem = Problem(model, E, gain * model.C, train, feedthrough)
     y = np.concatenate([record.y for record in train])
     w = init_window
-    unscored = w if w > 1 else 0
-    known = np.concatenate([record.y[unscored:] for record in val])
+    scored = unscored(w)
+    known = np.concatenate([record.y[scored:] for record in val])
 
     def val_error(model: Feedback, x: FloatArray, E: FloatArray, e: FloatArray) -> float:
         spread = spread_of(x - y @ E.T - e) if w > 1 else None
@@ -240,7 +240,7 @@ def fit_feedback(
         path = [model.states(record.u, x0) for record, x0 in zip(val, begin, strict=True)]
         if not all(np.isfinite(x).all() for x in path):
             return np.inf
-        simulated = [model.outputs(record.u, x)[unscored:] for record, x in zip(val, path, strict=True)]
+        simulated = [model.outputs(record.u, x)[scored:] for record, x in zip(val, path, strict=True)]
         return float(np.mean((np.concatenate(simulated) - known) ** 2))
 
     linear, begin = problem.parts(problem.start)

@@ -3,7 +3,7 @@
 A linear model gets a basis in which its norm lies midway between ρ(A) and γ. For a Lur'e model P of V(Δx) = ΔxᵀPΔx and
 the multiplier come from the bounded real lemma of the loop about the units' middle slope: with v = ½Gx (and y/Γ) as
 outputs and the units' (and u) as inputs, the Riccati equation's solution makes K of `nnss_cli.baselines.incremental` a
-contraction in the basis T with TᵀT = P. What is infeasible is drawn in by the fewest doublings of `INSIDE`. The layer's
+contraction in the basis T with TᵀT = P. What is infeasible is drawn in by the least of `DRAWN_IN`. The layer's
 other units start without effect, where the margin of K leaves them room.
 
 Source: C. E. de Souza and L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(1), 1992.
@@ -19,19 +19,19 @@ import numpy as np
 import scipy.linalg
 
 from nnss_cli.baselines.schur import bounded_real_basis, contracting_basis
+from nnss_cli.baselines.statespace import spectral_radius
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import Lure, PlainArrays, whole
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import set_encoder
-from nnss_cli.training.warm import INSIDE, LinearStart, encoder_layers
+from nnss_cli.training.warm import DRAWN_IN, LinearStart, encoder_layers
 
 SLOPES = 0.5, 4.0  # of a unit, per deviation of what it sees
 MARGINS = np.geomspace(1e-7, 1, 15)
 WEIGHTS = np.geomspace(1e-2, 1e2, 9)
 SHARE = 0.9  # of the room that K leaves, for the units without effect
-DOUBLINGS = 14
 
 
 Basis: TypeAlias = Callable[[PlainArrays], tuple[FloatArray, float] | None]
@@ -60,7 +60,7 @@ def start_layer(
     if len(plain.G) > a.hidden[0]:
         raise InputError(f"expected at least {len(plain.G)} hidden units, found {a.hidden[0]}")
     layer = cast(Lure, model.generator)
-    for inside in (0.0, *INSIDE * 2.0 ** np.arange(DOUBLINGS)):
+    for inside in DRAWN_IN:
         drawn = drawn_in(plain, 1 - inside, a.gain > 0)
         basis = promising_basis(drawn, a) if basis_of is None else basis_of(drawn)
         if basis is None:
@@ -114,17 +114,22 @@ def transformed(plain: PlainArrays, T: FloatArray) -> PlainArrays:
     )
 
 
+def midway_basis(A: FloatArray, gamma: float) -> FloatArray | None:
+    """T with ‖T A T⁻¹‖₂² < (ρ(A)² + γ²)/2: half of what the radius leaves is room for units, in all directions."""
+    try:
+        return contracting_basis(A, math.sqrt((spectral_radius(A) ** 2 + gamma**2) / 2))
+    except InputError:
+        return None
+
+
 def promising_basis(plain: PlainArrays, a: Architecture) -> tuple[FloatArray, float] | None:
     """T and λ of the smallest norm among `promising_bases`; None where there are none.
 
     Without units and gain, where λ only scales P: a T in which A contracts, and 1.
     """
     if not len(plain.G) and not a.gain:
-        radius = float(np.abs(np.linalg.eigvals(plain.A)).max())
-        try:  # half of what the radius leaves is room for the units then, in all directions
-            return contracting_basis(plain.A, math.sqrt((radius**2 + a.gamma**2) / 2)), 1.0
-        except InputError:
-            return None
+        T = midway_basis(plain.A, a.gamma)
+        return None if T is None else (T, 1.0)
     best = min(promising_bases(plain, a), key=lambda each: each[0], default=None)
     return best and best[1:]
 

@@ -15,7 +15,7 @@ import torch
 
 from nnss_cli.baselines.schur import contracting_basis, contraction_inverse, schur_inverse, schur_margin
 from nnss_cli.baselines.ssest import ssest
-from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.baselines.statespace import LinearStateSpace, spectral_radius
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
 from nnss_cli.model.architecture import Architecture
@@ -23,6 +23,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.training.encoder import Layers, encoder_map, fit_encoder, seen_windows, set_encoder
 
 INSIDE = 1e-4  # relative distance of the start's spectral radius from gamma, at least
+DRAWN_IN = (0.0, *INSIDE * 2.0 ** np.arange(14))  # shares that are taken off A until it keeps its promise
 
 LinearStart: TypeAlias = tuple[LinearStateSpace, FloatArray]
 """A linear model in normalised units, and the matrix (n, m) that takes y(0) to its x(0)."""
@@ -103,11 +104,11 @@ def free_matrices(a: Architecture, A: FloatArray, P: FloatArray | None = None) -
     V: FloatArray = np.zeros((a.order, a.order))
     if a.stability == "schur":
         margin = schur_margin(a.order, a.dtype)
-        for inside in (0.0, *INSIDE * 2.0 ** np.arange(14)):
+        for inside in DRAWN_IN:
             try:
                 W, V = schur_inverse(A * (1 - inside), a.gamma, a.epsilon, P, margin)
             except InputError:
-                if np.abs(np.linalg.eigvals(A)).max() >= a.gamma or inside > 0.5:
+                if spectral_radius(A) >= a.gamma or inside > 0.5:
                     raise
             else:
                 break

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from nnss_cli.baselines.linear_model import LinearModel
-from nnss_cli.datasets.record import Record, Scaling
+from nnss_cli.datasets.record import Record, Scaling, unscored
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import score_outputs
 from nnss_cli.methods.compiled import free_run
@@ -54,7 +54,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     needed = _forgetting(max(gain.rate for gain in found.gains))
     rates = tuple(max(gain.rate, here) for gain, here in zip(found.gains, found.rates_along(records), strict=True))
     left_out = max(w, min(needed, shortest // 5))
-    begin = w if w > 1 else 0
+    begin = unscored(w)
     scaling = trained.scaling or Scaling.of(found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
     reached = fitted_limits(records, trained.order)

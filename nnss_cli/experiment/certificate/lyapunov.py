@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 
+from nnss_cli.baselines.statespace import spectral_radius
 from nnss_cli.datasets.record import FloatArray
 from nnss_cli.experiment.certificate import lmi
 from nnss_cli.experiment.certificate.systems import radii
@@ -14,7 +15,7 @@ from nnss_cli.experiment.certificate.systems import radii
 
 def only_lyapunov(A: FloatArray) -> tuple[str, float | None]:
     """Whether P ≻ 0 with AᵀPA ≺ P exists for one A, which is exact: where ρ(A) < 1, for any rate above ρ(A)."""
-    radius = float(np.abs(np.linalg.eigvals(A)).max())
+    radius = spectral_radius(A)
     if radius >= 1:
         return f"none: ρ(A) = {radius:.6g}, and A is the only one", None
     return "exists: ρ(A) < 1, and A is the only one", radius

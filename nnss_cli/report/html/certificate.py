@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from nnss_cli.baselines.statespace import spectral_radius
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store
@@ -69,7 +70,7 @@ def _of_model(description: dict[str, Any], tensors: Tensors) -> tuple[str, float
         return promise, -math.inf
     A = tensors.get("A")
     if description.get("kind") == "linear" and A is not None and A.ndim == 2 and A.shape[0] == A.shape[1]:
-        return "nothing; its A is fixed, so ρ(A) decides", float(np.abs(np.linalg.eigvals(A)).max())
+        return "nothing; its A is fixed, so ρ(A) decides", spectral_radius(A)
     return "not known: no model is kept" if not description else "not known of this kind of model", -math.inf
 
 
