@@ -57,21 +57,18 @@ def default_lags(samples: int, channels: int) -> int:
     return max(2, min(30, 2 * samples // channels))
 
 
-def ssregest(
-    records: tuple[Record, ...], order: int, kernel: Kernel = "tc", lags: int | None = None
-) -> LinearStateSpace:
+def ssregest(records: tuple[Record, ...], order: int, kernel: Kernel = "tc") -> LinearStateSpace:
     """Identify a linear model by a regularised ARX model and its reduction.
 
     Args:
         records: experiments, in normalised units.
         order: number of states n.
         kernel: prior of the impulse responses.
-        lags: p; see `default_lags`.
 
     Raises:
         InputError: the records are too short for the order.
     """
-    full = high_order_model(records, order, kernel, lags)
+    full = high_order_model(records, order, kernel)
     reduced = full.balanced_truncation(order)
     B, _ = fit_input_matrix(reduced.A, reduced.C, records)
     return LinearStateSpace(reduced.A, B, reduced.C, reduced.D, reduced.Ts)
@@ -82,7 +79,8 @@ def high_order_model(
 ) -> LinearStateSpace:
     """The regularised ARX model of order p·m in state space, before reduction.
 
-    Its Hankel singular values tell how many states the data call for. Arguments and errors as in `ssregest`.
+    Its Hankel singular values tell how many states the data call for. Arguments and errors as in `ssregest`; `lags`
+    is p, that of `default_lags` where it is None.
     """
     r, m = records[0].input_count, records[0].output_count
     samples, shortest = sum(len(record) for record in records), min(len(record) for record in records)

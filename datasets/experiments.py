@@ -25,7 +25,7 @@ from nnss_cli.datasets.preparation import (
     uniform_Ts,
 )
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, FloatArray, Record, Scaling
-from nnss_cli.datasets.units import unit_in
+from nnss_cli.datasets.units import has_unit, unit_in
 
 from nnss_cli.errors import InputError
 
@@ -289,7 +289,7 @@ def _check_varying(train: Sequence[_Part], r: int) -> None:
 
 def _after(unit: str) -> str:
     """The unit behind a number."""
-    return f" {unit}" if unit not in ("", "–") else ""
+    return f" {unit}" if has_unit(unit) else ""
 
 
 def dataset_of(experiments: Experiments, scaling_at_rest: Callable[[tuple[Record, ...]], Scaling]) -> Dataset:

@@ -72,9 +72,14 @@ def is_time_name(name: str) -> bool:
     return _TIME.fullmatch(name) is not None and not of_another_quantity
 
 
+def has_unit(unit: str) -> bool:
+    """Whether a channel's unit is one: neither left out nor `NO_UNIT`."""
+    return unit not in ("", NO_UNIT)
+
+
 def titled(name: str, unit: str) -> str:
     """A channel with its unit: once, and where it has one."""
-    return name if unit in ("", NO_UNIT) or unit_in(name) == unit else f"{name} [{unit}]"
+    return name if not has_unit(unit) or unit_in(name) == unit else f"{name} [{unit}]"
 
 
 def p_text(p: float) -> str:

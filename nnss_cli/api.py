@@ -260,8 +260,7 @@ def _studied(
     todo = plan(store, dataset, methods, orders, seeds, prepared.settings | changes, force)
     require_writable(store.folder)
     sweep(todo.todo, dataset, store, jobs, lambda _: None, lambda _: None)
-    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
-    return Study(dataset, tuple(result for result in store.results() if result.spec.label in labels), store)
+    return Study(dataset, tuple(result for result in store.results() if result.spec.label in todo.labels), store)
 
 
 def _described(record: Mapping[str, Any]) -> dict[str, Any]:

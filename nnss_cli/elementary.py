@@ -153,8 +153,8 @@ class Expression:
         """A constant of the same formula."""
         return self._of(value)
 
-    def _elementwise(self, operation: str, other: Expression | Array | float, swapped: bool = False) -> Expression:
-        a, b = (self._of(other), self) if swapped else (self, self._of(other))
+    def _elementwise(self, operation: str, other: Expression | Array | float) -> Expression:
+        a, b = self, self._of(other)
         if a.shape != b.shape and (1, 1) not in (a.shape, b.shape):
             raise ValueError(f"{operation}: shapes {a.shape} and {b.shape}")
         return a._new(operation, b.shape if a.shape == (1, 1) else a.shape, b)

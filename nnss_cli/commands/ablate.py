@@ -35,7 +35,7 @@ def command(
 ) -> None:
     """Change one switch of NN-SS at a time: λ, start, windows, encoder, scheduling; or what makes it stable."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import console, name_of, print_rows, tell_left_out
+    from nnss_cli.commands.display import console, print_rows, tell_left_out
     from nnss_cli.commands.events import emit
     from nnss_cli.datasets.units import titled
     from nnss_cli.experiment.ablation import ablate
@@ -57,7 +57,7 @@ def command(
     found = ablate(
         store, data, study, ready_data.orders_or(orders), range(seeds), ready_data.settings | (changes or {}), workers,
         planned, lambda _: None,
-        lambda result: emit("result", run=name_of(result.spec), status=result.status, reason=result.reason),
+        lambda result: emit("result", run=result.spec.name, status=result.status, reason=result.reason),
     )  # fmt: skip
     channels = data.fitting.channels
     unit = f"RMSE of {titled(channels.outputs[0], channels.output_units[0])}"

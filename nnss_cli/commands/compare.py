@@ -133,8 +133,7 @@ def command(
         console.print(f"Stopped at the first run without a result (--fail-fast): {left} are left", highlight=False)
     table = agreeing(store, store.read(todo.found) if todo.todo else todo.found, todo.faults)
     tell_left_out(table.left_out)
-    labels = {spec.label for spec in todo.todo} | {result.spec.label for result in todo.done}
-    asked = [result for result in table.results if result.spec.label in labels]
+    asked = [result for result in table.results if result.spec.label in todo.labels]
     if not asked:
         emit("end", files=[], left_out=table.left_out)
         raise typer.Exit(1)

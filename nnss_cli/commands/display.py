@@ -114,9 +114,9 @@ class RunProgress:
         """Show a run's epoch, or what it is at before there is one."""
         label = event.spec.label
         if event.epoch:
-            emit("epoch", run=name_of(event.spec), epoch=event.epoch, val_rmse=event.val_rmse)
+            emit("epoch", run=event.spec.name, epoch=event.epoch, val_rmse=event.val_rmse)
         elif not event.waits_for:
-            emit("start", run=name_of(event.spec))
+            emit("start", run=event.spec.name)
         if label not in self.tasks:  # without a total the bar moves to and fro
             self.tasks[label] = self.progress.add_task(f"  {describe(event.spec)}", total=None, state="")
             self.progress.update(self.overall, state=f"{self.finished}/{self.total}")
@@ -137,7 +137,7 @@ class RunProgress:
         """Count a finished run."""
         self.finished += 1
         emit(
-            "result", run=name_of(result.spec), status=result.status, reason=result.reason,
+            "result", run=result.spec.name, status=result.status, reason=result.reason,
             fit_seconds=result.fit_seconds, scores=[vars(score) for score in result.scores],
             finished=self.finished, of=self.total,
         )  # fmt: skip
@@ -210,11 +210,6 @@ def tell_left_out(lines: Iterable[str]) -> None:
 def describe(spec: RunSpec) -> str:
     """A run in words."""
     return f"{spec.dataset} {spec.method} n={spec.order} seed {spec.seed}"
-
-
-def name_of(spec: RunSpec) -> str:
-    """A run's name, as `nnss results` takes it."""
-    return f"{spec.dataset}/{spec.protocol}/{spec.label}"
 
 
 def _work(spec: RunSpec) -> int:

@@ -28,7 +28,7 @@ def command(
 ) -> None:
     """Train one model, keep it under results/ and print its errors and remarks. Exit code 1 when it has no result."""
     from nnss_cli.commands.data import ready
-    from nnss_cli.commands.display import RunProgress, console, name_of, print_rows, tell_left_out
+    from nnss_cli.commands.display import RunProgress, console, print_rows, tell_left_out
     from nnss_cli.commands.events import emit
     from nnss_cli.experiment.store import Store
     from nnss_cli.experiment.sweep import plan, sweep
@@ -53,7 +53,7 @@ def command(
         raise typer.Exit(1)
     (result,) = asked
     emit(
-        "end", run=name_of(result.spec), status=result.status, reason=result.reason, done_before=bool(todo.done),
+        "end", run=result.spec.name, status=result.status, reason=result.reason, done_before=bool(todo.done),
         scores=[vars(score) for score in result.scores], folder=str(store.run_folder(result.spec)),
     )  # fmt: skip
     if result.status != "ok":

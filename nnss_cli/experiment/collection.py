@@ -37,7 +37,7 @@ class Entry:
     @property
     def folder(self) -> Path:
         """Where its files are."""
-        return self.store.folder / "runs" / self.label
+        return self.store.folder_of(self.label)
 
 
 @dataclass(frozen=True)
@@ -125,23 +125,22 @@ def _merge_store(source: Store, target: Store, merged: Merged) -> None:
     reference = agreeing(target, there).results
     for result in table.results:
         spec = result.spec
-        name = f"{source.dataset}/{source.protocol}/{spec.label}"
         origin = source.run_folder(spec)
         other = kept.get(spec.label)
         if spec.label in there.faults:
             merged.left_out.append(f"'{origin}': the run of this name is damaged there: {there.faults[spec.label]}")
         elif other is not None and (other.spec, other.scores, other.status) == (spec, result.scores, result.status):
-            merged.same.append(name)
+            merged.same.append(spec.name)
         elif other is not None:
             why = unlike(spec, [other]) or "other scores"
             merged.left_out.append(f"'{origin}': another run of this name is there, with {why}")
         elif why := unlike(spec, reference):
             merged.left_out.append(f"'{origin}': runs there are of {why}")
         else:
-            _copy(origin, target, result, merged, name)
+            _copy(origin, target, result, merged)
 
 
-def _copy(origin: Path, target: Store, result: RunResult, merged: Merged, name: str) -> None:
+def _copy(origin: Path, target: Store, result: RunResult, merged: Merged) -> None:
     files = {path.name: path.read_bytes() for path in origin.iterdir() if _belongs(path)}
     with target.lock(result.spec) as held:
         if not held or target.stamp(result.spec) is not None:
@@ -152,7 +151,7 @@ def _copy(origin: Path, target: Store, result: RunResult, merged: Merged, name: 
         except ValueError as error:
             merged.left_out.append(f"'{origin}': {error}")
             return
-    merged.copied.append(name)
+    merged.copied.append(result.spec.name)
 
 
 def _belongs(path: Path) -> bool:

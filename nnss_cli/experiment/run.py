@@ -43,6 +43,11 @@ class RunSpec:
         """Name of the run's folder."""
         return f"{self.method}-n{self.order}-s{self.seed}"
 
+    @property
+    def name(self) -> str:
+        """The run's name, as `nnss results` takes it: DATASET/PROTOCOL/METHOD-nORDER-sSEED."""
+        return f"{self.dataset}/{self.protocol}/{self.label}"
+
 
 @dataclass(frozen=True)
 class Score:

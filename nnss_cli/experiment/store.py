@@ -58,7 +58,11 @@ class Store:
 
     def run_folder(self, spec: RunSpec) -> Path:
         """Where a run's files go."""
-        return self.folder / "runs" / spec.label
+        return self.folder_of(spec.label)
+
+    def folder_of(self, label: str) -> Path:
+        """Likewise, by the name of its folder."""
+        return self.folder / "runs" / label
 
     def results(self) -> list[RunResult]:
         """All finished runs, whole, in a fixed order.
@@ -167,7 +171,7 @@ class Store:
 
     def clear_label(self, label: str) -> None:
         """Likewise, by the name of its folder."""
-        folder = self.folder / "runs" / label
+        folder = self.folder_of(label)
         (folder / "run.json").unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 

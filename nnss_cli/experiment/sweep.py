@@ -40,6 +40,11 @@ class Plan:
     found: Found
     """What there was in the folder."""
 
+    @property
+    def labels(self) -> set[str]:
+        """Of all that was asked for."""
+        return {spec.label for spec in self.todo} | {result.spec.label for result in self.done}
+
     def made_elsewhere(self) -> list[str]:
         """A line for each version of the code or a library, and for each machine, that made finished runs elsewhere."""
         lines = []
@@ -209,7 +214,7 @@ def _without_strays(
     if len(reasons) == len(own):
         return existing
     for label, reason in reasons.items():
-        folder = store.folder / "runs" / label
+        folder = store.folder_of(label)
         faults[label] = f"'{folder}' holds a run with {reason}, unlike others there; remove it, or run it with --force"
     return [result for result in existing if result.spec.label not in reasons]
 

@@ -10,7 +10,7 @@ from importlib import resources
 import pandas as pd
 
 from nnss_cli.datasets.record import FITTED_ON
-from nnss_cli.datasets.units import NO_UNIT
+from nnss_cli.datasets.units import has_unit
 from nnss_cli.experiment.run import RunResult
 from nnss_cli.methods import METHODS
 from nnss_cli.report.statistics import quantile
@@ -69,7 +69,7 @@ def mean_name(results: Sequence[RunResult]) -> str:
     units = {axis.unit for axis in outputs}
     if len(outputs) == 1:
         return ""
-    if len(units) == 1 and not units <= {"", NO_UNIT}:
+    if len(units) == 1 and has_unit(outputs[0].unit):
         return str(Axis("mean over outputs", *units))
     return UNITS_MIXED if first.protocol == "paper" and first.dataset in _known_as_means() else ""
 

@@ -22,9 +22,9 @@ from nnss_cli.report.evidence import (
     QUIRKS,
     intervals,
     not_the_papers,
-    optimism,
-    paper_comparison,
-    released_comparison,
+    optimism_rows,
+    paper_rows,
+    released_rows,
 )
 from nnss_cli.report.published import paper_places, published_comparison
 from nnss_cli.report.standing import (
@@ -40,7 +40,7 @@ from nnss_cli.report.standing import (
 from nnss_cli.report.statistics import MIN_RECORDS, mean_ranks, paired_tests
 from nnss_cli.report.studies import study_text, write_study
 from nnss_cli.report.style import FORMATS, SCREEN, Look
-from nnss_cli.report.tables import FREE, failures
+from nnss_cli.report.tables import FREE, failures, markdown
 
 
 def write_report(
@@ -154,13 +154,13 @@ def _section(
             "Beside the paper's table\n\nThe paper prints the best of ten seeds, chosen on test, so the verdict is on "
             "ours chosen likewise: reproduced (within 10 %, or in the last printed digit), better or worse. Only runs "
             "of which every setting is the paper's stand here.",
-            paper_comparison(results),
+            markdown(paper_rows(results)),
         ),
         (
             "Beside the models that the authors released\n\nMedians over seeds, mean over outputs in physical units; "
             "only runs of which every setting is the paper's. The released medians' intervals follow from their "
             "quartiles (± 1.57 (q3 − q1)/√n), ours from order statistics.",
-            released_comparison(results),
+            markdown(released_rows(results)),
         ),
         (
             "Places beside the paper and its released models\n\nEvery method and recipe that ran (bold), medians over "
@@ -173,7 +173,10 @@ def _section(
             "the published ones are single models. Scored after the initialisation window.",
             published_comparison(results),
         ),
-        ("Optimism of choosing on test\n\nRMSE/σ on test of the best seed, mean over outputs.", optimism(results)),
+        (
+            "Optimism of choosing on test\n\nRMSE/σ on test of the best seed, mean over outputs.",
+            markdown(optimism_rows(results)),
+        ),
     ):
         if body:
             parts.append(f"### {title}\n\n{body}")

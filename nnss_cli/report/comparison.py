@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.units import has_unit
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.agreement import Table, agreeing
 from nnss_cli.experiment.run import RunResult
@@ -101,7 +102,7 @@ def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None
                     if score.split == split:
                         panel = f"{split}/{score.output}"
                         axis = units[score.output]
-                        labels[panel] = f"RMSE{'' if axis.unit in ('–', '') else f' [{axis.unit}]'}"
+                        labels[panel] = f"RMSE [{axis.unit}]" if has_unit(axis.unit) else "RMSE"
                         shown = ([split_name(split)] if len(splits) > 1 else []) + [axis.name] * (len(units) > 1)
                         titles[panel] = ", ".join(shown)
                         by_order = values.setdefault(panel, {}).setdefault(method, {})

@@ -82,12 +82,6 @@ def not_the_papers(results: Sequence[RunResult]) -> list[str]:
     return lines
 
 
-def paper_comparison(results: Sequence[RunResult]) -> str:
-    """`paper_rows` as Markdown ("" where there are none)."""
-    rows = paper_rows(results)
-    return markdown(rows) if rows else ""
-
-
 def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
     """The paper's printed values beside ours, a verdict per cell; none where the paper prints none for these runs.
 
@@ -119,12 +113,6 @@ def paper_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
             }
         )  # fmt: skip
     return rows
-
-
-def released_comparison(results: Sequence[RunResult]) -> str:
-    """`released_rows` as Markdown ("" where there are none)."""
-    rows = released_rows(results)
-    return markdown(rows) if rows else ""
 
 
 def released_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
@@ -159,12 +147,6 @@ def released_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
             }
         )  # fmt: skip
     return rows
-
-
-def optimism(results: Sequence[RunResult]) -> str:
-    """`optimism_rows` as Markdown ("" where there are none)."""
-    rows = optimism_rows(results)
-    return markdown(rows) if rows else ""
 
 
 def optimism_rows(results: Sequence[RunResult]) -> list[dict[str, str]]:
@@ -211,7 +193,7 @@ def intervals(results: Sequence[RunResult]) -> str:
                 }
             )  # fmt: skip
     position = methods_of(results)
-    return markdown(sorted(rows, key=lambda row: (int(row["order"]), position.index(row["method"])))) if rows else ""
+    return markdown(sorted(rows, key=lambda row: (int(row["order"]), position.index(row["method"]))))
 
 
 def _percent(factor: float) -> str:

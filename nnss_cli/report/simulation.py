@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray, unscored
-from nnss_cli.datasets.units import titled
+from nnss_cli.datasets.units import has_unit, titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.cells import whole
 from nnss_cli.report.dense import is_dense
@@ -93,7 +93,7 @@ def draw_simulated(
                 draw_line(residual, time, error, dense, True, color=look.colour, linewidth=0.8)
                 residual.axhline(0, color="0.3", linewidth=0.6)
                 unit = channels.output_units[i]
-                residual.set_ylabel("residual" if unit in ("", "–") else f"residual\n[{unit}]")
+                residual.set_ylabel(f"residual\n[{unit}]" if has_unit(unit) else "residual")
             draw_line(panel, time, y[:, i], dense, color=look.colour, linewidth=1.1, label=what)
             if band is not None:
                 low, high, name = band

@@ -99,7 +99,7 @@ def effects(results: Sequence[RunResult], split: str, method: str = "nnss") -> s
         parts = [("lower than", lower), ("higher than", higher), ("not settled:", undecided)]
         row["what the seeds settle"] = "; ".join(f"{word} {', '.join(those)}" for word, those in parts if those)
         rows.append(row)
-    return markdown(rows) if rows else ""
+    return markdown(rows)
 
 
 def combinations(results: Sequence[RunResult], split: str) -> str:
@@ -116,7 +116,7 @@ def combinations(results: Sequence[RunResult], split: str) -> str:
                     "ratio": number(ratio(errors[name], parts), 3) if parts else "–",
                 }
             )  # fmt: skip
-    return markdown(rows) if rows else ""
+    return markdown(rows)
 
 
 def unscored(results: Sequence[RunResult], split: str) -> list[str]:

@@ -12,6 +12,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.record import FITTED_ON
+from nnss_cli.datasets.units import has_unit
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
 from nnss_cli.experiment.provenance import MADE_ON, MADE_WITH
@@ -220,7 +221,7 @@ def error_tables(results: Sequence[RunResult], apart: bool = False) -> list[Erro
             rows = terminal_rows(results, apart, split, output)
             if rows:
                 unit = "" if output == NORMALISED else results[0].channels["output_units"][list(names).index(output)]
-                shown = {"train", "val", "test", "best"} if unit not in ("", "–") else set()
+                shown = {"train", "val", "test", "best"} if has_unit(unit) else set()
                 heads = {"order": "n", "fit": "fit\n[%]"} | {name: f"{name}\n[{unit}]" for name in shown}
                 about = {"split": split, "output": names.get(output, output)}
                 found.append(ErrorTable(terminal_title(results, split, output), rows, heads, about))
@@ -396,7 +397,7 @@ def _explanation(results: Sequence[RunResult]) -> str:
 
 
 def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
-    """A pipe table; a pipe in a name, which is the user's, is none of its."""
+    """A pipe table, "" of no rows; a pipe in a name, which is the user's, is none of its."""
     kept = [
         {key: value.replace("|", "\\|") if isinstance(value, str) else value for key, value in row.items()}
         for row in rows

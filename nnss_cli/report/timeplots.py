@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.units import has_unit
 from nnss_cli.report.dense import envelope, is_dense, rms, thinned
 from nnss_cli.report.figures import add_legend, wrapped
 from nnss_cli.report.style import MEASURED, SCREEN, TICK_STEPS, Axis, Look, style_of, styles_of
@@ -181,7 +182,7 @@ def _draw_inputs(panel: Any, time: FloatArray, inputs: Sequence[tuple[Axis, Floa
 
 
 def _unit(axis: Axis) -> str:
-    return "" if axis.unit in ("–", "") else f"\n[{axis.unit}]"
+    return f"\n[{axis.unit}]" if has_unit(axis.unit) else ""
 
 
 def _mark_breaks(panel: Any, time: FloatArray, breaks: Sequence[int]) -> None:

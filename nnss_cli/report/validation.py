@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nnss_cli.datasets.record import Channels, FloatArray
-from nnss_cli.datasets.units import p_text, titled
+from nnss_cli.datasets.units import has_unit, p_text, titled
 from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
@@ -276,7 +276,7 @@ def _factor(unit: str) -> str:
 def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
     left, right = block.subplots(1, 2)
     unit, of = found.channels.output_units[i], found.channels.input_units[driver]
-    single = f" {of}" * (len(found.channels.inputs) == 1 and of not in ("", "–"))
+    single = f" {of}" * (len(found.channels.inputs) == 1 and has_unit(of))
     for point, (colour, line) in zip(found.linear.points, LOOKS, strict=False):
         at = f"u = {', '.join(number(value, 3) for value in point.u[:3])}{', …' * (len(point.u) > 3)}{single}"
         left.plot(
@@ -285,7 +285,7 @@ def _draw_linear(block: Any, found: Validation, i: int, driver: int) -> None:
         )  # fmt: skip
         right.plot(found.linear.frequency, point.magnitude[:, i, driver], color=colour, linestyle=line, label=at)
     left.set_xlabel("time [s]")
-    step = "unit step response" if of in ("", "–") else f"response to a step of 1 {of}"
+    step = f"response to a step of 1 {of}" if has_unit(of) else "unit step response"
     left.set_ylabel(titled(step, unit))
     left.set_title("linearised at equilibria", fontsize=8)
     right.set_xscale("log")

@@ -16,9 +16,9 @@ from nnss_cli.methods import METHODS
 from nnss_cli.report.aggregate import COLUMNS, best_run, long_table, released_table, summary
 from nnss_cli.report.build import write_report
 from nnss_cli.report.comparison import _boxplot, joined, record_lengths, transient, write_comparison
-from nnss_cli.report.evidence import intervals, not_the_papers, optimism, paper_comparison, released_comparison
+from nnss_cli.report.evidence import intervals, not_the_papers, optimism_rows, paper_rows, released_rows
 from nnss_cli.report.figures import plt
-from nnss_cli.report.tables import rmse_markdown, terminal_rows, terminal_title
+from nnss_cli.report.tables import markdown, rmse_markdown, terminal_rows, terminal_title
 
 CHANNELS = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
 PROVENANCE = dict.fromkeys(("nnss", "python", "numpy", "scipy", "torch", "machine"), "0")
@@ -97,7 +97,7 @@ def test_several_outputs_are_averaged_before_the_seeds_and_ranked_by_sigma() -> 
     assert "mean over outputs of RMSE/σ" in terminal_title(SCALES)
     seeds = [*SCALES[:1], two_outputs("nnss", 1, (0.3, 0.3), (0.3, 0.3))]
     assert best_run(seeds).spec.seed == 1  # in physical units it validates three times worse
-    (line,) = (line for line in optimism(seeds).splitlines() if "nnss" in line)
+    (line,) = (line for line in markdown(optimism_rows(seeds)).splitlines() if "nnss" in line)
     assert [cell.strip() for cell in line.split("|")][4:7] == ["0.3", "0.3", "0 %"]
 
 
@@ -117,7 +117,7 @@ def test_runs_without_a_result_count() -> None:
     assert (shown["runs"], shown["test"], shown["best"]) == ("1/10", "∞", "0.1")
     assert "1/10 | –" in " ".join(rmse_markdown(one_good).split())
     assert "9 of 10 NN-SS, n = 3" in boxplot_title(one_good)
-    assert "| 1/10 " in released_comparison([replace(r, spec=papers(r.spec)) for r in one_good])
+    assert "| 1/10 " in markdown(released_rows([replace(r, spec=papers(r.spec)) for r in one_good]))
 
 
 def boxplot_title(results: list[RunResult]) -> str:
@@ -168,10 +168,10 @@ PAPERS = [replace(r, spec=papers(r.spec)) for r in RUNS]
 
 
 def test_the_papers_values_stand_beside_ours() -> None:
-    text = paper_comparison(PAPERS)
+    text = markdown(paper_rows(PAPERS))
     line = next(line for line in text.splitlines() if "nnss" in line and "test" in line)
     assert [cell.strip() for cell in line.split("|")][5:10] == ["0.01", "1", "3/4", "+9900 %", "worse"]
-    assert paper_comparison([replace(r, spec=replace(r.spec, protocol="strict")) for r in PAPERS]) == ""
+    assert markdown(paper_rows([replace(r, spec=replace(r.spec, protocol="strict")) for r in PAPERS])) == ""
 
 
 def line_of(text: str, method: str, split: str) -> str:
@@ -180,12 +180,12 @@ def line_of(text: str, method: str, split: str) -> str:
 
 def test_only_the_papers_recipe_stands_beside_the_paper() -> None:
     best = [replace(r, spec=replace(r.spec, settings=r.spec.settings | {"recipe": "best"})) for r in PAPERS[:3]]
-    assert line_of(paper_comparison([*best, PAPERS[4]]), "nnss", "test") == ""  # only what was run has a row
-    assert line_of(paper_comparison([*best, PAPERS[4]]), "n4sid", "test")
+    assert line_of(markdown(paper_rows([*best, PAPERS[4]])), "nnss", "test") == ""  # only what was run has a row
+    assert line_of(markdown(paper_rows([*best, PAPERS[4]])), "n4sid", "test")
     own = result("nnss-paper", 0, val=0.5, test=0.01)
     by_name = [*best, replace(own, spec=papers(own.spec))]
-    assert "reproduced" in line_of(paper_comparison(by_name), "nnss", "test")
-    assert "better" in line_of(released_comparison(by_name), "nnss", "test")
+    assert "reproduced" in line_of(markdown(paper_rows(by_name)), "nnss", "test")
+    assert "better" in line_of(markdown(released_rows(by_name)), "nnss", "test")
 
 
 @pytest.mark.parametrize("field", ["hidden", "stability", "epochs", "dtype", "patience_unit", "window", "consistency"])
@@ -193,19 +193,19 @@ def test_a_recipe_is_the_papers_only_when_every_field_is(field: str) -> None:
     changed = {"hidden": [4], "stability": "none", "epochs": 7, "dtype": "float64", "patience_unit": "epochs",
                "window": 40, "consistency": 0.0}[field]  # fmt: skip
     runs = [replace(r, spec=replace(r.spec, settings=r.spec.settings | {field: changed})) for r in PAPERS[:3]]
-    assert paper_comparison(runs) == released_comparison(runs) == ""
+    assert markdown(paper_rows(runs)) == markdown(released_rows(runs)) == ""
     assert not_the_papers(runs) == [f"nnss, order 3: {field}"]
     assert not_the_papers(PAPERS) == []
     engine = [replace(r, spec=replace(r.spec, settings=r.spec.settings | {"engine": "reference"})) for r in PAPERS]
-    assert paper_comparison(engine) == paper_comparison(PAPERS)  # it computes the same
+    assert markdown(paper_rows(engine)) == markdown(paper_rows(PAPERS))  # it computes the same
 
 
 def test_baselines_stand_beside_the_paper_only_with_the_papers_settings() -> None:
     auto = replace(PAPERS[4], spec=replace(PAPERS[4].spec, settings={"horizon": "auto"}))
-    assert line_of(paper_comparison([*PAPERS[:3], auto]), "n4sid", "test") == ""
-    assert "| – " not in paper_comparison(PAPERS)
+    assert line_of(markdown(paper_rows([*PAPERS[:3], auto])), "n4sid", "test") == ""
+    assert "| – " not in markdown(paper_rows(PAPERS))
     assert not_the_papers([auto]) == ["n4sid, order 3: horizon"]
-    assert line_of(paper_comparison(PAPERS), "n4sid", "test").split("|")[6].strip() == "2"
+    assert line_of(markdown(paper_rows(PAPERS)), "n4sid", "test").split("|")[6].strip() == "2"
 
 
 def test_released_medians_have_a_spread_of_their_own() -> None:
@@ -215,7 +215,7 @@ def test_released_medians_have_a_spread_of_their_own() -> None:
     near = [result("nnss", seed, 1.0, low + 1e-5) for seed in range(10)]
     far = [result("nnss", seed, 1.0, low - 1e-5) for seed in range(10)]
     for runs, word in ((near, "yes"), (far, "no")):
-        line = line_of(released_comparison([replace(r, spec=papers(r.spec)) for r in runs]), "nnss", "test")
+        line = line_of(markdown(released_rows([replace(r, spec=papers(r.spec)) for r in runs])), "nnss", "test")
         assert line.split("|")[-2].strip() == word
 
 
@@ -224,15 +224,15 @@ def test_medians_stand_beside_released_medians() -> None:
     runs.append(result("nnss", 3, 0, 0, status="diverged"))
     for lost, cells in ((0, ["3/3", "0.02113", "0.02", "-5 %"]), (1, ["3/4", "0.02113", "0.16", "+657 %"])):
         own = [replace(r, spec=papers(r.spec)) for r in runs[: 3 + lost]]
-        line = [cell.strip() for cell in line_of(released_comparison(own), "nnss", "test").split("|")]
+        line = [cell.strip() for cell in line_of(markdown(released_rows(own)), "nnss", "test").split("|")]
         assert [line[i] for i in (4, 5, 7, 9)] == cells
         assert line[10] == ("worse" if lost else "reproduced")
 
 
 def test_choosing_on_test_takes_the_seed_with_the_lowest_test_error() -> None:
-    (line,) = (line for line in optimism(RUNS).splitlines() if "nnss" in line)
+    (line,) = (line for line in markdown(optimism_rows(RUNS)).splitlines() if "nnss" in line)
     assert [cell.strip() for cell in line.split("|")][3:7] == ["3/4", "8", "1", "88 %"]
-    printed = line_of(paper_comparison(PAPERS), "nnss", "test").split("|")
+    printed = line_of(markdown(paper_rows(PAPERS)), "nnss", "test").split("|")
     assert printed[6].strip() == "1"  # of 9, 8 and 1
 
 

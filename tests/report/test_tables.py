@@ -32,12 +32,12 @@ from nnss_cli.report.aggregate import (
     validation_error,
 )
 from nnss_cli.report.comparison import _boxplot, record_lengths, starts, transient
-from nnss_cli.report.evidence import intervals, optimism
+from nnss_cli.report.evidence import intervals, optimism_rows
 from nnss_cli.report.figures import plt
 from nnss_cli.report.listing import group_rows, run_rows
 from nnss_cli.report.simulation import draw_simulated, error_rows
 from nnss_cli.report.statistics import quartile_interval, ratio, verdict
-from nnss_cli.report.tables import error_tables, options_apart, rmse_markdown
+from nnss_cli.report.tables import error_tables, markdown, options_apart, rmse_markdown
 from nnss_cli.testing import small_dataset
 
 ONE = {"inputs": ["u"], "outputs": ["level"], "input_units": ["V"], "output_units": ["m"]}
@@ -263,10 +263,10 @@ def test_intervals_and_optimism_are_by_hand() -> None:
     seeds = [run(seed=seed, val=1.0 - 0.1 * seed, test=0.1 * (seed + 1)) for seed in range(3)]
     (line,) = intervals(seeds).splitlines()[2:]
     assert [cell.strip() for cell in line.split("|")[1:-1]] == ["2", "nnss", "3/3", "test", "2", "1–3", "75.0%"]
-    (line,) = optimism(seeds).splitlines()[2:]
+    (line,) = markdown(optimism_rows(seeds)).splitlines()[2:]
     assert [cell.strip() for cell in line.split("|")[1:-1]] == ["2", "nnss", "3/3", "0.3", "0.1", "67 %"]
-    assert optimism(seeds[:1]) == intervals(seeds[:1]) == ""
-    assert optimism([run(seed=seed, val=0.1) for seed in range(2)]) == ""
+    assert markdown(optimism_rows(seeds[:1])) == intervals(seeds[:1]) == ""
+    assert markdown(optimism_rows([run(seed=seed, val=0.1) for seed in range(2)])) == ""
 
 
 @pytest.mark.parametrize(
