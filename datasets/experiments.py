@@ -164,7 +164,7 @@ def files_by_role(description: Description) -> dict[PartName, tuple[str, ...]]:
     """The files that train, validate and test.
 
     Raises:
-        InputError: a file stands under two of them.
+        InputError: a file stands under two of them, or twice in one set.
     """
     roles: dict[PartName, tuple[str, ...]] = {
         "train": description.files, "val": description.val, "test": sum(description.test.values(), ()),
@@ -172,11 +172,17 @@ def files_by_role(description: Description) -> dict[PartName, tuple[str, ...]]:
     role_of: dict[Path, str] = {}
     for role, files in roles.items():
         for file in files:
-            other = role_of.setdefault(description.path(file), role)
+            other = role_of.setdefault(description.path(file).resolve(), role)
             if other != role:
                 raise InputError(
                     f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
                 )
+    for files in (description.files, description.val, *description.test.values()):
+        paths = [description.path(file).resolve() for file in files]
+        for i, path in enumerate(paths):
+            if path in paths[:i]:
+                first = files[paths.index(path)]
+                raise InputError(f"file '{files[i]}' stands twice, found it as '{first}', too: name it once")
     return roles
 
 

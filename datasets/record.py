@@ -255,7 +255,7 @@ class FittingData:
                 )
 
     def fingerprint(self) -> str:
-        """A hash of every sample and statistic that a method may see."""
+        """A hash of every sample and statistic that a method may see, and of the channels' names and units."""
         return _hash(self, {"train": self.train, "val": self.val})
 
     def normalised(self) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
@@ -314,12 +314,12 @@ class Dataset:
         return {"train": self.fitting.train, "val": self.fitting.val, **self.tests}
 
     def fingerprint(self) -> str:
-        """A hash of every sample and statistic: runs with equal fingerprints are comparable."""
+        """A hash of every sample, statistic, name and unit: runs with equal fingerprints are comparable."""
         return _hash(self.fitting, self.splits())
 
 
 def _hash(fitting: FittingData, splits: Mapping[str, tuple[Record, ...]]) -> str:
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(fitting.channels).encode())
     if fitting.init_window > 1:
         digest.update(f"window {fitting.init_window}".encode())
     for split, records in splits.items():

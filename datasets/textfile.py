@@ -32,6 +32,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", 
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d\S*)?", re.ASCII)
 _EXCELS_HINT = re.compile(r'"?sep=(.)"?')
+_EXCELS_ERROR = re.compile(r"#(N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!|SPILL!|CALC!|GETTING_DATA)")
 _BETWEEN_BLANKS = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
 _BOOLEAN = {"true": 1.0, "false": 0.0}
 # Before 3.1 pandas rounds to the nearest double only if asked; from 3.1 on it does, and warns when asked.
@@ -147,6 +148,12 @@ def read_text(path: Path) -> pd.DataFrame:
     return table
 
 
+def _is_comment(line: str) -> bool:
+    """Whether a line starts with #, as Excel's words for a cell in error do, too."""
+    line = line.lstrip()
+    return line.startswith("#") and not _EXCELS_ERROR.match(line)
+
+
 def _open(path: Path) -> TextIO:
     opened: Any = gzip.open if path.suffix.lower() == ".gz" else open
     with opened(path, "rb") as stream:
@@ -168,7 +175,7 @@ def _lines(path: Path, stream: TextIO, delimiter: str, skipped: int = 0) -> Iter
                 )
             if number == 1 and _EXCELS_HINT.fullmatch(line.rstrip("\r\n")):
                 continue
-            if number > skipped and line.strip(blanks) and not line.lstrip().startswith("#"):
+            if number > skipped and line.strip(blanks) and not _is_comment(line):
                 yield number, line
     except UnicodeDecodeError as error:
         raise InputError(
@@ -293,7 +300,7 @@ class _Samples:
             self.lines += chunk.count("\n") + (not chunk.endswith("\n"))
             if "#" in chunk:
                 lines = chunk.splitlines(keepends=True)
-                chunk = "".join(line for line in lines if not line.lstrip().startswith("#"))
+                chunk = "".join(line for line in lines if not _is_comment(line))
             if chunk:
                 return chunk
 

@@ -110,6 +110,7 @@ def diff_command(
 
 
 @app.command("rm", cls=VariadicCommand, epilog="Example: nnss results rm 'twotank/paper/nnss-n4-*' --yes")
+@with_output
 def rm_command(
     runs: Patterns = None,
     status: Statuses = None,
@@ -118,6 +119,7 @@ def rm_command(
 ) -> None:
     """Remove runs: their models, signals and scores. `nnss report` makes the tables anew."""
     from nnss_cli.commands.display import console
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.collection import entries, remove
 
     if not runs and not status:
@@ -129,8 +131,11 @@ def rm_command(
         for entry in chosen:
             console.print(entry.name, highlight=False, soft_wrap=True)
         console.print(f"{len(chosen)} runs would be removed: --yes removes them", highlight=False)
+        emit("end", removed=[], kept=[entry.name for entry in chosen])
         return
-    busy = [entry.name for entry, gone in remove(chosen) if not gone]
+    outcomes = [(entry.name, gone) for entry, gone in remove(chosen)]
+    busy = [name for name, gone in outcomes if not gone]
+    emit("end", removed=[name for name, gone in outcomes if gone], kept=busy)
     console.print(f"{len(chosen) - len(busy)} runs removed; 'nnss report' makes the tables anew", highlight=False)
     if busy:
         typer.echo(f"nnss: another command is at {', '.join(busy)}: not removed", err=True)
@@ -138,6 +143,7 @@ def rm_command(
 
 
 @app.command("merge", cls=VariadicCommand, epilog="Example: nnss results merge lab1/results lab2/results --out results")
+@with_output
 def merge_command(
     folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Results folders of other machines.")],
     out: Out = Path("results"),
@@ -148,6 +154,7 @@ def merge_command(
     scores under one name), are named and left out: exit code 1.
     """
     from nnss_cli.commands.display import console, tell_left_out
+    from nnss_cli.commands.events import emit
     from nnss_cli.experiment.collection import merge
     from nnss_cli.files import require_writable
 
@@ -158,6 +165,7 @@ def merge_command(
         "'nnss report' makes the tables",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
+    emit("end", copied=merged.copied, same=merged.same, left_out=merged.left_out)
     _end_with(merged.left_out, tell_left_out)
 
 

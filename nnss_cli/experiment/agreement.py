@@ -11,6 +11,7 @@ from nnss_cli.experiment.run import RunResult, RunSpec
 from nnss_cli.experiment.store import Found, Store
 from nnss_cli.version import __version__
 
+OTHER_DATA = "another version of the data (samples, scaling, names or units)"
 SAME_NUMBERS = ("threads",)
 """Options that change no number, to the last bit."""
 
@@ -34,7 +35,7 @@ def difference(spec: RunSpec, result: RunResult) -> str:
     """Why a finished run must not be mixed with `spec` in one table ("" where it may)."""
     other = result.spec
     if other.data != spec.data:
-        return "another version of the data"
+        return OTHER_DATA
     if (other.method, other.order) != (spec.method, spec.order):
         return ""
     made = result.provenance.get("nnss", "unknown")
@@ -59,7 +60,7 @@ def unlike(spec: RunSpec, results: Iterable[RunResult]) -> str:
     for result in results:
         other = result.spec
         if other.data != spec.data:
-            return "another version of the data"
+            return OTHER_DATA
         if (other.method, other.order) == (spec.method, spec.order):
             if other.version != spec.version:
                 return f"version {other.version or 'unknown'} of {spec.method} instead of {spec.version or 'unknown'}"
@@ -83,7 +84,7 @@ def agreeing(store: Store, found: Found, apart: Mapping[str, str] | None = None)
     faults = found.faults | dict(apart or {})
     results = [result for result in found.results if result.spec.label not in faults]
     kept, others = _largest(results, lambda result: result.spec.data)
-    lines = _lines(store, others, "another version of the data than most runs there")
+    lines = _lines(store, others, f"{OTHER_DATA} than most runs there")
     groups: dict[tuple[str, int], list[RunResult]] = {}
     for result in kept:
         groups.setdefault((result.spec.method, result.spec.order), []).append(result)

@@ -9,7 +9,7 @@ from functools import partial
 
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
-from nnss_cli.experiment.agreement import conflict, difference
+from nnss_cli.experiment.agreement import OTHER_DATA, conflict, difference
 from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Limits, Serial, Task
 from nnss_cli.experiment.outcomes import results
 from nnss_cli.experiment.processes import Processes
@@ -195,7 +195,7 @@ def _is_of(spec: RunSpec, result: RunResult) -> bool:
 
 
 def _other_data(data: str, result: RunResult) -> str:
-    return "" if result.spec.data == data else "another version of the data"
+    return "" if result.spec.data == data else OTHER_DATA
 
 
 def _without_strays(

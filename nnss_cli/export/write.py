@@ -5,9 +5,12 @@ from __future__ import annotations
 import filecmp
 import importlib
 import json
+import keyword
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,12 @@ from nnss_cli.export.facts import facts_of
 from nnss_cli.export.parity import Parity, Trial, single_left_out, trial_of
 from nnss_cli.files import require_writable, write_bytes, write_text
 from nnss_cli.trained import TrainedModel
+
+HEADERS = (
+    "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits", "locale", "math", "setjmp",
+    "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
+)  # fmt: skip
+"""The standard headers of C99."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,25 @@ class Exported:
     """Why there is none in single precision; "" where there is, and of targets that never have one."""
 
 
+def _check_name(name: str, to: str) -> None:
+    """Refuse a name under which the files could not be used: the checks load them by their paths.
+
+    Raises:
+        InputError: it is one.
+    """
+    if not (name.isidentifier() and name.isascii()):
+        raise InputError(f"name: expected letters, digits and '_', not beginning with a digit, found '{name:.60}'")
+    if to in ("mat", "casadi") and (name.startswith("_") or (to == "casadi" and "__" in name)):
+        what = "begin with a letter" + ", without '__'" * (to == "casadi")
+        raise InputError(f"name: expected one that a function of {to} may have, which must {what}, found '{name}'")
+    if to == "control" and (
+        keyword.iskeyword(name) or name in sys.stdlib_module_names or name in packages_distributions()
+    ):
+        raise InputError(f"name: expected one of no Python module, found '{name}': the file would be taken for it")
+    if to == "c" and name in HEADERS:
+        raise InputError(f"name: expected one of no header of C, found '{name}': {name}.h would be taken for it")
+
+
 def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", force: bool = False) -> Exported:
     """Write a model for another tool, once what was written has been seen to compute what the model does.
 
@@ -67,14 +95,13 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
 
     Raises:
         InputError: an unknown target, a package or compiler that is missing (it is named), a name that is no
-            identifier, files that are there already with other content, a folder that cannot be written, or a model
-            without an elementary step.
+            identifier or means something else to the target, files that are there already with other content, a folder
+            that cannot be written, or a model without an elementary step.
         ParityError: what was written computes something else; nothing is left.
     """
     if to not in _TARGETS:
         raise unknown("target", to, _TARGETS)
-    if not (name.isidentifier() and name.isascii()):
-        raise InputError(f"name: expected letters, digits and '_', not beginning with a digit, found '{name:.60}'")
+    _check_name(name, to)
     target, out = _TARGETS[to], Path(out)
     for package in target.needs:
         try:

@@ -347,11 +347,13 @@ def study_rows(variants: Sequence[Variant], intervals: bool = False) -> list[dic
                 row[split] = number(quantile(errors, 0.5))
                 if intervals and len(errors) > 1:
                     bounds = median_interval(errors)
-                    row[split] += f" ({number(bounds.low, 3)}–{number(bounds.high, 3)})"
+                    median = number(quantile(errors, 0.5))
+                    between = f"{number(bounds.low, 3)}–{number(bounds.high, 3)}"
+                    row[split] = Cell(f"{median} ({between})", median.value)
             if any(v.unbounded is not None for v in variants):
                 unbounded = sum(r.spec.order == order for r in variant.unbounded or ())
                 unknown = variant.unbounded is None and ok  # `nnss ablate` tries what was not tried
-                row["unbounded under stress"] = "–" if unknown else f"{unbounded} of {len(ok)}"
+                row["unbounded under stress"] = "–" if unknown else Cell(f"{unbounded} of {len(ok)}", unbounded)
             rows.append(row)
     return rows
 

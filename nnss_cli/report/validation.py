@@ -16,7 +16,7 @@ from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
 from nnss_cli.report.style import STYLE, band_look, style_of
-from nnss_cli.report.tables import number
+from nnss_cli.report.tables import number, percent
 from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Profile
@@ -85,8 +85,8 @@ def output_rows(found: Validation) -> list[dict[str, str]]:
     """Errors of the simulation by output. σ is that of the training data."""
     return [
         {
-            "output": titled(each.name, each.unit), "fit [%]": f"{each.fit_percent:.1f}",
-            "linear limit [%]": "–" if each.limit is None else f"{each.limit:.1f}", "RMSE": number(each.rmse),
+            "output": titled(each.name, each.unit), "fit [%]": percent(each.fit_percent),
+            "linear limit [%]": "–" if each.limit is None else percent(each.limit), "RMSE": number(each.rmse),
             "RMSE/σ": number(each.rmse / each.sigma), "σ (training)": number(each.sigma),
         }
         for each in found.outputs

@@ -104,7 +104,8 @@ class TrainedModel:
             x0: x(0) (n,) instead, or z(0) as `initial_state` gives it. With neither, the model is at rest under u(0).
 
         Returns:
-            y (K, m) in physical units and x (K, n).
+            y (K, m) in physical units and x (K, n). Of an ensemble x is the first member's, from which it cannot go on;
+            `initial_state` has the states of all.
 
         Raises:
             InputError: other channels, values that are not finite, no samples, more first outputs than inputs, or no
@@ -139,7 +140,8 @@ class TrainedModel:
         """A(x), B(x), C(x), D(x) frozen at a state. They are no linearisation: see `linearise`.
 
         Args:
-            x: the model's own state (n,), as `simulate` gives it; of an ensemble, those of all members.
+            x: the model's own state (n,), as `simulate` gives it; of an ensemble, those of all members, one after the
+                other, as `initial_state` has them.
             u: input (r,), where the matrices are scheduled on it; else the mean input.
             y_previous: output before (m,), physical units, likewise; else the mean output.
 
@@ -193,7 +195,7 @@ class TrainedModel:
         """First output samples (w, m) of what a user may give for them; see `simulate`."""
         outputs = self.channels.outputs
         if len(outputs) > 1 and not hasattr(y_init, "columns") and np.ndim(y_init) == 1:
-            y_init = [y_init]
+            y_init = [as_values("y_init", y_init, outputs)]
         return as_samples("y_init", y_init, outputs)
 
     def records(self) -> dict[str, tuple[Record, ...]]:

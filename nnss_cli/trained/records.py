@@ -177,9 +177,10 @@ def _columns(
         rounded = "repair the file, or leave --time out where the times are only rounded"
         found = uniform_Ts(t, lambda k: place(table, k), rounded)
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
-    elif Ts is None and (regular := _regular_time(table, names)) is not None:
-        clock, t, found = regular
+    elif Ts is None and (rising := _rising_time(table, names)) is not None:
+        clock, t = rising
         over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
+        found = uniform_Ts(t, lambda k: f"{place(table, k)}, column '{clock}'", over)
         check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", over)
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
@@ -196,14 +197,14 @@ def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, who
     return read_table(path, wanted, sheet)
 
 
-def _regular_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray, float] | None:
-    """The column that reads as a time, its instants and its step [s]; None where there is none that is regular."""
+def _rising_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray] | None:
+    """The column that reads as a time and its instants; None where there is none that rises from sample to sample."""
     others = [str(name) for name in table.columns if name not in channels]
     name = guess_time(others, [other for other in others if holds_dates(table, other)])
     if name is not None:
         with suppress(InputError):  # nothing was said of this column: it may be anything
             t = times(table, name)
-            return name, t, uniform_Ts(t)
+            return (name, t) if len(t) > 1 and bool((np.diff(t) > 0).all()) else None
     return None
 
 

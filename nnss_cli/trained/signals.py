@@ -60,9 +60,14 @@ def as_samples(what: str, values: Any, names: Sequence[str]) -> FloatArray:
 def as_values(what: str, values: Any, names: Sequence[str]) -> FloatArray:
     """One value for each of c channels (c,): a number where there is one, else a list or an array.
 
+    A pandas Series, such as a row of a table, is taken by the channels' names where its index holds them.
+
     Raises:
         InputError: another number of values, or one that is no finite number.
     """
+    index = [str(label) for label in getattr(values, "axes", [()])[0]]
+    if set(names) <= set(index):
+        values = [values.iloc[index.index(name)] for name in names]
     try:
         array = np.array(values, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError) as error:

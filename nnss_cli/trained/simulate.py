@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -173,6 +173,8 @@ def output_table(
 ) -> str:
     """Outputs as CSV: time, each output by its name, its limits as <name>_low and <name>_high, states x1 …
 
+    Where an output has such a name itself, an underscore more tells the column from it.
+
     Args:
         model: names the outputs.
         y: outputs (K, m), physical units.
@@ -188,7 +190,14 @@ def output_table(
     # three digits more than values have: Unix time in steps of a millisecond has thirteen
     columns = {clock: [f"{instant:.15g}" for instant in seconds]} | dict(zip(names, y.T, strict=True))
     for suffix, limit in zip(("low", "high"), limits or (), strict=False):
-        columns |= {f"{name}_{suffix}": limit[:, i] for i, name in enumerate(names)}
-    if x is not None:
-        columns |= {f"x{i + 1}": state for i, state in enumerate(x.T) if f"x{i + 1}" not in columns}
+        for name, values in zip(names, limit.T, strict=True):
+            columns[_unused(f"{name}_{suffix}", columns)] = values
+    for i, state in enumerate(() if x is None else x.T):
+        columns[_unused(f"x{i + 1}", columns)] = state
     return str(pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n"))
+
+
+def _unused(name: str, taken: Container[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name

@@ -20,6 +20,7 @@ from nnss_cli.methods.compiled import free_run
 from nnss_cli.trained.simulate import beyond_training, require_finite
 from nnss_cli.validation.limit import coherence_limits, fitted_limits, larger
 from nnss_cli.validation.linearisation import integrators, linearisations, pole_map
+from nnss_cli.validation.overlap import samples_in
 from nnss_cli.validation.predictor import step_table
 from nnss_cli.validation.residuals import dependence, profile, whiteness
 from nnss_cli.validation.result import OutputCheck, Validation
@@ -114,15 +115,8 @@ def _known(fitting: Fitting, records: Sequence[Record]) -> Iterator[str]:
         (fitting.train, "the model or its predictor was fitted to"),
         (fitting.val, "the model's epoch, the predictor's gain and the bands were chosen on"),
     ):
-        if shared := sum(len(part) for part in parts if any(_lies_in(part, record) for record in records)):
+        if shared := sum(int(samples_in(record, parts).sum()) for record in records):
             yield f"No independent evidence: {what} {shared} of these {total} samples."
-
-
-def _lies_in(part: Record, record: Record) -> bool:
-    """Whether a record is a stretch of another one."""
-    both = np.concatenate([record.u, record.y], axis=1), np.concatenate([part.u, part.y], axis=1)
-    begins = np.flatnonzero((both[0] == both[1][0]).all(axis=1))
-    return any(np.array_equal(both[0][at : at + len(part)], both[1]) for at in begins)
 
 
 def _early(left_out: int, needed: int) -> Iterator[str]:

@@ -34,6 +34,22 @@ def names(out: Path) -> set[str]:
     return {path.parent.name for path in out.rglob("run.json")}
 
 
+def test_what_is_removed_and_merged_is_told_to_machines(out: Path, nnss: Callable, tmp_path: Path) -> None:
+    def told(*line: object) -> dict:
+        return json.loads(nnss("results", *line, "--json").out)
+
+    names = {"twotank-sim/strict/n4sid-n1-s0", "twotank-sim/strict/n4sid-n2-s0"}
+    asked = told("rm", "n4sid*", "--out", out)
+    assert (asked["event"], asked["removed"], set(asked["kept"])) == ("end", [], names)
+    other = shutil.copytree(out, tmp_path / "other")
+    gone = told("rm", "n4sid*", "--yes", "--out", out)
+    assert (set(gone["removed"]), gone["kept"]) == (names, [])
+    merged = told("merge", other, "--out", out)
+    assert (set(merged["copied"]), len(merged["same"]), merged["left_out"]) == (names, 2, [])
+    quiet = nnss("results", "rm", "n4sid*", "--yes", "--out", out, "--quiet")
+    assert (quiet.code, quiet.out) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("line", "told"),
     [
@@ -150,7 +166,7 @@ def test_what_disagrees_is_named_and_left_where_it_is(made: Path, tmp_path: Path
     assert len(lines) == 4
     for words in (
         "n4sid-n1-s0': another run of this name is there, with other options of n4sid: horizon",
-        "n4sid, order 2, seed 0: another version of the data than most",
+        "n4sid, order 2, seed 0: another version of the data (samples, scaling, names or units) than most",
         "ssregest-n1-s0': another run of this name is there, with other scores",
         "ssregest-n2-s0/signals.safetensors' disagrees with the run.json beside it",
     ):

@@ -277,6 +277,22 @@ def test_the_same_record_comes_from_every_format(tmp_path: Path) -> None:
         assert found.train[0].Ts == 0.5
 
 
+def test_of_a_time_axis_and_a_sampling_time_that_agree_the_latter_counts(tmp_path: Path) -> None:
+    signals(Ts=0.50002).to_csv(tmp_path / "a.csv", index=False)
+    found = load_experiments(described(tmp_path, time="t", Ts=0.5))
+    assert {record.Ts for record in (*found.train, *found.val)} == {0.5}
+
+
+def test_files_with_channels_in_another_order_are_not_taken_by_number(tmp_path: Path) -> None:
+    """Their inputs would change places."""
+    signals().to_csv(tmp_path / "a.csv", index=False)
+    signals(seed=1)[["t", "v", "u", "y"]].to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(InputError, match="b.csv"):
+        load_experiments(described(tmp_path, files=["a.csv", "b.csv"], inputs=[2, 3], outputs=[4]))
+    by_name = load_experiments(described(tmp_path, files=["a.csv", "b.csv"]))
+    assert [len(record) for record in by_name.train] == [60, 60]
+
+
 def test_files_are_experiments_and_parts(tmp_path: Path) -> None:
     for i, K in enumerate((50, 60, 40, 30, 20)):
         signals(K, seed=i).to_csv(tmp_path / f"{i}.csv", index=False)
@@ -357,6 +373,8 @@ def test_time_gaps_resampling_and_decimation(tmp_path: Path) -> None:
         ({"inputs": "u", "outputs": ["y", "v", "still"]}, "output 'still' is constant"),
         ({"val": "a.csv"}, "file 'a.csv' stands under two of train, val and test"),
         ({"val": "./a.csv"}, "file './a.csv' stands under two"),
+        ({"files": ["a.csv", "./a.csv"]}, "file './a.csv' stands twice, found it as 'a.csv', too"),
+        ({"test": {"hard": ["b.csv", "./b.csv"]}}, "file './b.csv' stands twice, found it as 'b.csv', too"),
         ({"downsample": 10}, "'a.csv': downsample 10: the filter needs more than 190 samples, found 100"),
         ({"inputs": "v", "time": "u", "Ts": None}, "'a.csv' row 3: time goes from"),
         ({"outputs": "huge"}, r"'a.csv' row 7, column 'huge': 1e\+200: expected numbers below"),

@@ -3,6 +3,7 @@
 import gzip
 import io
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -577,6 +578,19 @@ def test_a_number_beyond_the_range_of_doubles_is_refused(tmp_path: Path) -> None
     path.write_text("u,y\n1,2\n" + "9" * 400 + ",3\n")
     with pytest.raises(InputError, match="row 3, column 'u': expected a finite number, found inf"):
         numbers(read_table(path), "u")
+
+
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?", "#NULL!"])
+@pytest.mark.parametrize("rows", [20, 20_000])
+def test_excels_words_for_a_cell_in_error_are_no_comments(word: str, rows: int, tmp_path: Path) -> None:
+    """In the first column of a row, which was left out with all that stands behind it."""
+    lines = [f"{k},{k % 7}" for k in range(rows)]
+    lines[13] = f"{word},3"
+    path = write(tmp_path / "a.csv", "\n".join(["u,y", "# a comment, of ours", *lines, ""]))
+    table = read_table(path)
+    assert len(table) == rows
+    with pytest.raises(InputError, match=rf"'a.csv' row 16.*{re.escape(word)}"):
+        numbers(table, "u")
 
 
 @given(size=st.integers(1, 30))

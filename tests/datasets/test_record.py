@@ -201,7 +201,7 @@ def test_statistics_are_one_for_each_channel(name: str, shape: tuple[int, ...]) 
 
 
 def test_the_fingerprint_knows_every_sample_statistic_and_split() -> None:
-    """And that alone: names and notes have no part in it."""
+    """And the channels' names and units; notes and the dataset's name have no part in it."""
     random = np.random.default_rng(0)
     a, b, c = (Record(random.standard_normal((5, 2)), random.standard_normal((5, 1)), 0.5) for _ in range(3))
     plain = Dataset(fitting((a,), (b,)), {"test": (c,)})
@@ -222,6 +222,10 @@ def test_the_fingerprint_knows_every_sample_statistic_and_split() -> None:
     for field in ("u_mean", "u_std", "y_mean", "y_std"):
         scaling = replace(plain.fitting.scaling, **{field: getattr(plain.fitting.scaling, field) + 0.5})
         others.append(Dataset(fitting((a,), (b,), scaling=scaling), {"test": (c,)}))
+    for field in ("inputs", "outputs", "input_units", "output_units"):
+        renamed = tuple(f"{text}_" for text in getattr(plain.fitting.channels, field))
+        channels = replace(plain.fitting.channels, **{field: renamed})
+        others.append(replace(plain, fitting=replace(plain.fitting, channels=channels)))
     prints = [plain.fingerprint(), *(dataset.fingerprint() for dataset in others)]
     assert len(set(prints)) == len(prints)
     again = replace(plain, notes=("seen",), fitting=replace(plain.fitting, dataset="another name"))

@@ -11,7 +11,7 @@ import pytest
 
 from nnss_cli.errors import InputError
 from nnss_cli.experiment import agreement
-from nnss_cli.experiment.agreement import agreeing, conflict, difference, telling, unlike
+from nnss_cli.experiment.agreement import OTHER_DATA, agreeing, conflict, difference, telling, unlike
 from nnss_cli.experiment.collection import entries, merge, remove
 from nnss_cli.experiment.comparison import Difference, compared
 from nnss_cli.experiment.run import RunResult, RunSpec, Score
@@ -54,8 +54,8 @@ def damage(store: Store, which: RunSpec) -> None:
 @pytest.mark.parametrize(
     ("made", "why"),
     [
-        (result(spec()), ""), (result(spec(data="d2")), "another version of the data"),
-        (result(spec(data="d2", method="ssest")), "another version of the data"),
+        (result(spec()), ""), (result(spec(data="d2")), OTHER_DATA),
+        (result(spec(data="d2", method="ssest")), OTHER_DATA),
         (result(spec(method="ssest", settings={}), nnss="0"), ""), (result(spec(order=3, settings={})), ""),
         (result(spec(), nnss="0.0"), f"nnss 0.0 instead of {__version__}"),
         (replace(result(spec()), provenance={}), f"nnss unknown instead of {__version__}"),
@@ -74,7 +74,7 @@ def test_a_finished_run_may_be_mixed_with_one_of_the_same_data_version_and_optio
 
 def test_the_first_run_that_must_not_be_mixed_is_named() -> None:
     found = [result(spec()), result(spec("ssest", 9, data="d9")), result(spec(version="2"))]
-    assert conflict(spec(), found) == "ssest, order 9, with another version of the data"
+    assert conflict(spec(), found) == f"ssest, order 9, with {OTHER_DATA}"
     assert conflict(spec(), []) == ""
 
 
@@ -89,7 +89,7 @@ def test_tuples_and_lists_are_the_same_option() -> None:
 @pytest.mark.parametrize(
     ("other", "why"),
     [
-        (spec(), ""), (spec("ssest", data="d2"), "another version of the data"), (spec("ssest", version="9"), ""),
+        (spec(), ""), (spec("ssest", data="d2"), OTHER_DATA), (spec("ssest", version="9"), ""),
         (spec(order=3, version="9", settings={}), ""), (spec(version="9"), "version 9 of nnss instead of 1"),
         (spec(version=""), "version unknown of nnss instead of 1"),
         (spec(settings={"epochs": 5}), "other options of nnss: epochs 5 instead of 3"),
@@ -115,7 +115,7 @@ def test_the_larger_group_makes_the_table_and_what_is_left_out_is_told(tmp_path:
     where = f"'{store.folder}': "
     rest = "; remove them with 'nnss results rm', or run them again with --force"
     assert table.left_out == [
-        "not asked for", f"{where}nnss, order 2, seed 2: another version of the data than most runs there{rest}",
+        "not asked for", f"{where}nnss, order 2, seed 2: {OTHER_DATA} than most runs there{rest}",
         f"{where}ssest, order 2, seed 0: another version or other options than most runs of it there{rest}",
         f"{where}ssest, order 3, seed 1: another version or other options than most runs of it there{rest}",
     ]  # fmt: skip
@@ -197,7 +197,7 @@ def test_runs_of_other_folders_are_copied_where_they_agree(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("which", "status", "why"),
     [
-        (spec(seed=7, data="d2"), "ok", "runs there are of another version of the data"),
+        (spec(seed=7, data="d2"), "ok", f"runs there are of {OTHER_DATA}"),
         (spec(seed=7, settings={"epochs": 4}), "ok", "runs there are of other options of nnss: epochs 3 instead of 4"),
         (spec(version="2"), "ok", "another run of this name is there, with version 1 of nnss instead of 2"),
         (spec(), "failed", "another run of this name is there, with other scores"),

@@ -169,7 +169,7 @@ def test_force_runs_again_what_is_finished_and_keeps_it_until_then(store: Store)
 def test_force_does_not_mix_with_data_that_it_does_not_replace(store: Store) -> None:
     keep(store, spec("ssest", data="other"))
     with pytest.raises(
-        InputError, match="ssest, order 1, with another version of the data, which this command does not"
+        InputError, match="ssest, order 1, with another version of the data .*, which this command does"
     ):
         planned(store, "n4sid", force=True)
     assert labels(planned(store, "ssest", force=True).todo) == ["ssest-n1-s0"]
@@ -187,8 +187,8 @@ def test_a_stray_among_others_is_neither_used_nor_replaced(store: Store) -> None
     assert [r.spec.seed for r in found.done] == [0]
     assert list(found.faults) == ["ssest-n1-s0", "simba-n1-s2"]
     assert found.faults["ssest-n1-s0"] == (
-        f"'{store.folder / 'runs' / 'ssest-n1-s0'}' holds a run with another version of the data, unlike others there; "
-        "remove it, or run it with --force"
+        f"'{store.folder / 'runs' / 'ssest-n1-s0'}' holds a run with another version of the data "
+        "(samples, scaling, names or units), unlike others there; remove it, or run it with --force"
     )
     assert "epochs 1 instead of" in found.faults["simba-n1-s2"]
     store.clear(strange)

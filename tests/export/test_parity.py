@@ -386,6 +386,15 @@ def test_other_wrong_exports_are_one_line(tried: Callable, tmp_path: Path, monke
         export(model, "simulink", tmp_path)
     with pytest.raises(InputError, match="name: expected letters"):
         export(model, "c", tmp_path, name="../a")
+    for target, names, told in (
+        ("control", ("class", "numpy", "control", "math", "scipy"), "expected one of no Python module"),
+        ("c", ("math", "stddef"), "math.h would be taken for it|stddef.h would"),
+        ("mat", ("_x",), "must begin with a letter, found '_x'"),
+        ("casadi", ("_x", "a__b"), "must begin with a letter, without '__'"),
+    ):
+        for name in names:
+            with pytest.raises(InputError, match=told):
+                export(model, target, tmp_path / "out", name=name)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(InputError, match="no C compiler found: install gcc or clang"):

@@ -29,8 +29,9 @@ def test_of_two_and_where_all_agree_it_is_the_mean(members: list[NNSS]) -> None:
     record = load("twotank-sim").tests["test"][0][:200]
     each = np.stack([member.simulate(record.u, record.y[0]).y for member in members])
     for rule, count in (("clipped", 2), ("mean", 3), ("mean", 2), ("clipped", 1)):
-        model = Ensemble(tuple(members[:count]), rule)
-        np.testing.assert_allclose(model.simulate(record.u, record.y[0]).y, each[:count].mean(axis=0), rtol=1e-12)
+        found = Ensemble(tuple(members[:count]), rule).simulate(record.u, record.y[0])
+        np.testing.assert_allclose(found.y, each[:count].mean(axis=0), rtol=1e-12)
+        np.testing.assert_array_equal(found.x, members[0].simulate(record.u, record.y[0]).x)  # those of the first
     clipped = Ensemble(tuple(members), "clipped")
     found = clipped.simulate(record.u, record.y[0]).y
     np.testing.assert_array_equal(found, clipped.together(each))

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from nnss_cli.datasets.record import Channels
 
 from nnss_cli.report import validation as report
+from nnss_cli.report.cells import plain
 from nnss_cli.report.figures import plt
 from nnss_cli.validation.gain import ALONE
 from nnss_cli.validation.linearisation import Linearisations, OperatingPoint
@@ -103,6 +104,8 @@ def test_a_gain_says_where_it_comes_from() -> None:
 
 def test_outputs_residuals_points_and_tests_are_tabled() -> None:
     first, second = report.output_rows(FOUND)
+    for row, each in zip(plain([first, second]), FOUND.outputs, strict=True):  # in full, for machines
+        assert (row["fit [%]"], row["linear limit [%]"]) == (each.fit_percent, each.limit)
     assert first == {
         "output": "x [m]", "fit [%]": "87.7", "linear limit [%]": "93.2", "RMSE": "0.2", "RMSE/σ": "0.1",
         "σ (training)": "2",

@@ -1,10 +1,13 @@
 """`nnss simulate` and `nnss show`: what they write, what they say, and what they refuse in one line."""
 
+import io
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +22,7 @@ from nnss_cli.report.simulation import missing_lines
 from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
-from nnss_cli.trained.simulate import beyond_training, require_finite, simulate_file
+from nnss_cli.trained.simulate import beyond_training, output_table, require_finite, simulate_file
 
 
 @pytest.fixture
@@ -49,16 +52,32 @@ def test_simulate_writes_what_the_model_simulates(
     assert f"{rmse:.3g}"[:4] in done.out
 
 
+def test_no_column_takes_the_place_of_another(tmp_path: Path) -> None:
+    """Outputs may be named as limits and states are."""
+    names = ("y", "y_low", "x1")
+    model: Any = SimpleNamespace(channels=Channels(("u",), names, ("V",), ("m",) * 3), Ts=0.5)
+    y = np.arange(6.0).reshape(2, 3)
+    text = output_table(model, y, (y - 10, y + 10), np.array([[7.0, 8.0], [9.0, 6.0]]))
+    table = pd.read_csv(io.StringIO(text))
+    assert list(table.columns) == [
+        "time", "y", "y_low", "x1", "y_low_", "y_low_low", "x1_low", "y_high", "y_low_high", "x1_high", "x1_", "x2",
+    ]  # fmt: skip
+    np.testing.assert_array_equal(table[list(names)], y)
+    np.testing.assert_array_equal(table[["y_low_", "y_low_low", "x1_low"]], y - 10)
+    np.testing.assert_array_equal(table[["y_high", "y_low_high", "x1_high"]], y + 10)
+    np.testing.assert_array_equal(table[["x1_", "x2"]], [[7, 8], [9, 6]])
+
+
 def test_what_is_written_has_the_times_of_the_file(
     new: Path, nnss: Callable, trained_folder: Callable[..., Path]
 ) -> None:
-    """To the millisecond of Unix time; dates, an uneven column and one that --ts passes over give the time since 0."""
+    """To the millisecond of Unix time; dates, a falling column and one that --ts passes over give the time since 0."""
     plain = pd.read_csv(new)
     since = np.arange(len(plain)) * 0.5
     dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(since, unit="s")
     for clock, column, options, expected in (
         ("t", since + 12.5, (), since + 12.5), ("t [ms]", 1000 * since + 1709625600001, (), since + 1709625600.001),
-        ("clock", since - 3, ("--time", "clock"), since - 3), ("t", dates, (), since), ("t", since**2, (), since),
+        ("clock", since - 3, ("--time", "clock"), since - 3), ("t", dates, (), since), ("t", since[::-1], (), since),
         ("t", since + 12.5, ("--ts", "0.5"), since),
     ):  # fmt: skip
         plain.assign(**{clock: column}).to_csv(new, index=False)
@@ -66,6 +85,13 @@ def test_what_is_written_has_the_times_of_the_file(
             done = nnss(command, trained_folder(), new, *options, "--out", "out.csv", "--force")
             assert done.code == 0, done.err
             np.testing.assert_allclose(pd.read_csv("out.csv")["time"], expected, rtol=0, atol=1e-5)
+    since[7:] += 0.05  # a sample came late: at the model's sampling time all after it would be off
+    plain.assign(t=since).to_csv(new, index=False)
+    for command in ("simulate", "predict", "validate"):
+        refused = nnss(command, trained_folder(), new)
+        assert refused.code == 2
+        assert "row 9, column 't': time is not uniform: the step is 0.55 s, expected 0.5" in refused.err
+        assert "pass over the column (--ts 0.5)" in refused.err
 
 
 def test_a_long_record_is_simulated_in_compiled_code(

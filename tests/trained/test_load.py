@@ -76,6 +76,11 @@ def test_signals_of_any_kind(trained_folder: Callable[..., Path]) -> None:
     for inputs, first in ((u, y), (u.tolist(), y.tolist()), (frame, outputs)):
         np.testing.assert_array_equal(model.simulate(inputs, first).y, expected)
     np.testing.assert_array_equal(model.simulate(u, y[0]).y, model.model.simulate(u, y[:1]).y)
+    row = outputs[["y2", "y1"]].iloc[0]  # by its names, as a table is
+    np.testing.assert_array_equal(model.simulate(u, row).y, model.model.simulate(u, y[:1]).y)
+    there = model.equilibrium(frame[["u2", "other", "u1"]].iloc[4])
+    np.testing.assert_array_equal(there.y, model.equilibrium(u[4]).y)
+    np.testing.assert_array_equal(model.equilibrium(pd.Series(u[4])).y, there.y)
     one = load(trained_folder())
     expected = one.model.simulate(u[:, :1], y[:2, :1]).y
     for inputs, first in ((u[:, 0], y[:2, 0]), (pd.Series(u[:, 0]), list(y[:2, 0]))):

@@ -123,10 +123,9 @@ def test_a_time_that_nobody_named_is_checked(clock: str, model: TrainedModel, tm
         read(model, written(0.4), Ts=0.5)
 
 
-def test_what_is_no_regular_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
+def test_what_is_no_rising_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
     new = tmp_path / "new.csv"
     for column in (
-        np.arange(8) ** 2.0,
         5.0 - np.arange(8),
         ["on"] * 8,
         nan_at_three(np.arange(8)),

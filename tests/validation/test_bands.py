@@ -1,5 +1,6 @@
 """Conformal bands: coverage as claimed, blocks as long as the errors' memory, each output by itself."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,11 @@ import scipy.signal
 from nnss_cli.baselines.linear_model import LinearModel
 from nnss_cli.datasets.catalog import BENCHMARKS, load
 from nnss_cli.datasets.download import fetch
+from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import InputError
 from nnss_cli.methods.linear import subspace_model
-from nnss_cli.validation.bands import calibrate, memory
+from nnss_cli.validation.bands import Band, calibrate, memory
 from nnss_cli.validation.gain import estimate_gain
 from nnss_cli.validation.predictor import Predictor, steppers_of
 from nnss_cli.validation.trained import Limits
@@ -20,6 +22,19 @@ from nnss_cli.validation.trained import Limits
 def noise(pole: float, samples: int, seed: int) -> np.ndarray:
     white = np.random.default_rng(seed).standard_normal((samples + 300, 1))
     return scipy.signal.lfilter([1], [1, -pole], white, axis=0)[300:]
+
+
+def test_each_output_is_told_its_own_width_and_blocks() -> None:
+    band = Band(0.9, np.array([1.5, 20.0]), (30, 12), (4, 10), (4, 16), None)
+    held, y = np.array([0.875, np.nan]), np.zeros((3, 2))
+    channels = Channels(("u",), ("level", "flow"), ("V",), ("cm", "–"))
+    assert Limits(band, y - 1, y + 1, held).told(channels) == [
+        "band of 90 %, level: ± 1.5 cm, from 30 blocks of 4 samples of the validation record; it holds 87.5 % here",
+        "band of 90 %, flow: ± 20, from 12 blocks of 10 samples of the validation record, whose errors remember 16: it "
+        "is too short to assure 90 %",
+    ]
+    following = replace(band, floor=np.array([0.1, 0.2]))
+    assert "flow: ± 20 × the members' spread, from 12" in Limits(following, y, y, None).told(channels)[1]
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.6, 0.9])

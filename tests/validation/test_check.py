@@ -15,6 +15,7 @@ from nnss_cli.trained import TrainedModel
 from nnss_cli.validation import check
 from nnss_cli.validation.check import validate
 from nnss_cli.validation.gain import Gain
+from nnss_cli.validation.overlap import samples_in
 from nnss_cli.validation.predictor import Predictor
 from nnss_cli.validation.residuals import dependence, whiteness
 from nnss_cli.validation.trained import Fitting, Forecaster
@@ -87,10 +88,33 @@ def test_samples_that_a_part_of_the_model_has_seen_are_told() -> None:
         "No independent evidence: the model's epoch, the predictor's gain and the bands were chosen on 50 of these 460 "
         "samples.",
     ]
-    later = records[0].y.copy()
-    later[89] += 1e-9  # the last sample of validation
-    for y in (later, records[0].y + 1e-9):
-        assert list(check._known(fitting, [replace(records[0], y=y)])) == []
+    assert list(check._known(fitting, [replace(records[0], y=records[0].y + 1e-9)])) == []
+    (told,) = check._known(fitting, [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
+    assert "chosen on 30 of these 70 samples" in told
+
+
+def test_shared_samples_are_found_by_stretches_that_move() -> None:
+    random = np.random.default_rng(0)
+    u, y = random.standard_normal((200, 2)), random.standard_normal((200, 1))
+    record = Record(u, y, 0.5)
+
+    def shared(*parts: Record) -> list[int]:
+        return np.flatnonzero(samples_in(record, parts)).tolist()
+
+    cut, short = Record(u[50:90], y[50:90], 0.5), Record(u[50:69], y[50:69], 0.5)
+    other = Record(np.vstack([-u[:30], u[60:79]]), np.vstack([y[:30], y[60:79]]), 0.5)
+    assert shared(cut) == list(range(50, 90))
+    assert shared(other) == []  # 19 in a row are no stretch of a longer record
+    assert shared(short) == list(range(50, 69))  # but the whole of this one
+    assert shared(cut, Record(u[:200:3], y[:200:3], 0.5), Record(u[150:], y[150:], 0.5)) == [
+        *range(50, 90), *range(150, 200),
+    ]  # fmt: skip
+    assert shared(Record(u, y[::-1], 0.5)) == []  # inputs alone
+    assert samples_in(cut, [record]).all()
+    rest = Record(np.where(np.arange(200) < 120, 0, u.T).T, np.where(np.arange(200) < 120, -0.0, y.T).T, 0.5)
+    again = Record(np.zeros((200, 2)), np.zeros((200, 1)), 0.5)
+    assert not samples_in(rest, [again]).any()
+    assert not samples_in(again, [rest]).any()
 
 
 def test_an_observer_that_grows_along_the_record_fails(validated: Callable) -> None:
