@@ -374,6 +374,7 @@ def test_time_gaps_resampling_and_decimation(tmp_path: Path) -> None:
         ({"val": "a.csv"}, "file 'a.csv' stands under two of train, val and test"),
         ({"val": "./a.csv"}, "file './a.csv' stands under two"),
         ({"files": ["a.csv", "./a.csv"]}, "file './a.csv' stands twice, found it as 'a.csv', too"),
+        ({"files": ["a.csv", "below/../a.csv"]}, "file 'below/../a.csv' stands twice"),
         ({"test": {"hard": ["b.csv", "./b.csv"]}}, "file './b.csv' stands twice, found it as 'b.csv', too"),
         ({"downsample": 10}, "'a.csv': downsample 10: the filter needs more than 190 samples, found 100"),
         ({"inputs": "v", "time": "u", "Ts": None}, "'a.csv' row 3: time goes from"),

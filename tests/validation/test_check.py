@@ -111,6 +111,8 @@ def test_shared_samples_are_found_by_stretches_that_move() -> None:
     ]  # fmt: skip
     assert shared(Record(u, y[::-1], 0.5)) == []  # inputs alone
     assert samples_in(cut, [record]).all()
+    zeros = [np.where(np.arange(200) % 40, y.T, zero).T for zero in (0.0, -0.0)]
+    assert samples_in(Record(u, zeros[0], 0.5), [Record(u, zeros[1], 0.5)]).all()
     rest = Record(np.where(np.arange(200) < 120, 0, u.T).T, np.where(np.arange(200) < 120, -0.0, y.T).T, 0.5)
     again = Record(np.zeros((200, 2)), np.zeros((200, 1)), 0.5)
     assert not samples_in(rest, [again]).any()
