@@ -172,13 +172,13 @@ def files_by_role(description: Description) -> dict[PartName, tuple[str, ...]]:
     role_of: dict[Path, str] = {}
     for role, files in roles.items():
         for file in files:
-            other = role_of.setdefault(description.path(file).resolve(), role)
+            other = role_of.setdefault(description.path(file), role)
             if other != role:
                 raise InputError(
                     f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
                 )
     for files in (description.files, description.val, *description.test.values()):
-        paths = [description.path(file).resolve() for file in files]
+        paths = [description.path(file) for file in files]
         for i, path in enumerate(paths):
             if path in paths[:i]:
                 first = files[paths.index(path)]
