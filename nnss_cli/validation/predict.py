@@ -8,8 +8,9 @@ import numpy as np
 
 from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.errors import InputError
+from nnss_cli.validation.limits import Limits
 from nnss_cli.validation.predictor import StepTable, step_table
-from nnss_cli.validation.trained import Forecaster, Limits
+from nnss_cli.validation.trained import Forecaster
 
 HORIZONS = 1, 2, 5, 10, 20, 50
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.validation.limits import Limits
 from nnss_cli.validation.linearisation import Linearisations
 from nnss_cli.validation.predictor import StepTable
 from nnss_cli.validation.residuals import Dependence, Profile, Whiteness
-from nnss_cli.validation.trained import Limits
 
 
 @dataclass(frozen=True, eq=False)

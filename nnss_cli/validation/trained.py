@@ -8,14 +8,15 @@ from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
-from nnss_cli.datasets.record import FITTED_ON, Channels, FloatArray, Record
+from nnss_cli.datasets.record import FITTED_ON, FloatArray, Record
 from nnss_cli.errors import InputError, unknown
 from nnss_cli.methods.compiled import free_run
 from nnss_cli.trained import TrainedModel
 from nnss_cli.trained.simulate import Simulated, require_finite
-from nnss_cli.validation.adaptive import AdaptiveBand, adapt
+from nnss_cli.validation.adaptive import adapt
 from nnss_cli.validation.bands import Band, calibrate
 from nnss_cli.validation.gain import Gain, estimate_gain, growth_along
+from nnss_cli.validation.limits import Limits
 from nnss_cli.validation.predictor import Guard, Predictor, steppers_of
 
 FITTED = 0.7  # of a record that is given: K is fitted on it, and chosen, with the bands, on the rest
@@ -48,7 +49,7 @@ class Forecaster:
     guarded: bool = False
     """Whether predictions are weighed against persistence as errors are seen (`nnss_cli.validation.guard`)."""
 
-    def predict(self, record: Record, horizon: int | None) -> FloatArray:
+    def predict(self, record: Record, horizon: int) -> FloatArray:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
         return self._predicted(record, horizon, "residuals", self._own_guard(horizon))[0]
 
@@ -61,39 +62,37 @@ class Forecaster:
         """What guards predictions at these horizons, from the validation records, whether it is used or not."""
         return Guard.of(self.predictor, self.fitting.val, horizons, self.trained.init_window)
 
-    def limits(self, record: Record, horizon: int | None, level: float, scale: str = "residuals") -> Limits:
+    def limits(self, record: Record, horizon: int, level: float, scale: str = "residuals") -> Limits:
         """The band around predictions `horizon` steps ahead, from the validation records; see `interval`.
 
         Args:
             record: physical units.
-            horizon: steps ahead; None for the simulation.
+            horizon: steps ahead.
             level: share of samples that it is to hold.
             scale: constant (residuals), following an ensemble's spread (ensemble), or the coverage seen up to k − h
                 (adaptive).
 
         Raises:
-            InputError: as `interval`; adaptive around a simulation, which knows no outputs.
+            InputError: as `interval`.
         """
         by, w, guard = band_scale(scale), self.trained.init_window, self._own_guard(horizon)
         predicted, spread = self._predicted(record, horizon, by, guard)
         if by != "adaptive":
             band = interval(self.fitting.val, w, level, by, lambda each: self._predicted(each, horizon, by, guard))
             return Limits.of(band, predicted, spread, record.y, w)
-        if horizon is None:
-            raise adaptive_simulation()
         errors = [(each.y - self._predicted(each, horizon, by, guard)[0])[w:] for each in self.fitting.val]
         adaptive = adapt(errors, [each.y[w:] for each in self.fitting.val], level, horizon)
         return Limits.following(adaptive, predicted, record.y, w)
 
-    def _own_guard(self, horizon: int | None) -> Guard | None:
-        """What its predictions at this horizon pass through; a simulation passes through none."""
-        return self.guard((horizon,)) if self.guarded and horizon is not None else None
+    def _own_guard(self, horizon: int) -> Guard | None:
+        """What its predictions at this horizon pass through."""
+        return self.guard((horizon,)) if self.guarded else None
 
     def _predicted(
-        self, record: Record, horizon: int | None, scale: BandScale, guard: Guard | None
+        self, record: Record, horizon: int, scale: BandScale, guard: Guard | None
     ) -> tuple[FloatArray, FloatArray | None]:
         predicted, spread = predicted_with_spread(self.trained, record, horizon, scale, self.predictor)
-        if guard is not None and horizon is not None:
+        if guard is not None:
             predicted, _ = guard.applied(horizon, predicted, record.y)
         return predicted, spread
 
@@ -102,90 +101,6 @@ class Forecaster:
         band = simulation_band(self.trained, self.fitting.val, level, "residuals")
         y = free_run(self.trained.model, record.u, record.y[: self.trained.init_window]).y
         return Limits.of(band, y, None, record.y, self.trained.init_window)
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """A band around outputs, and how many measured ones it held."""
-
-    band: Band
-    """How wide, and from how many blocks."""
-    low: FloatArray
-    """Lower limits (K, m), physical units."""
-    high: FloatArray
-    """Upper limits (K, m), physical units."""
-    held: FloatArray | None
-    """Share of the measured outputs within (m,), the init window left out, NaN of one of which there is none; None
-    where nothing was measured."""
-    adaptive: AdaptiveBand | None = None
-    """What moves the width of `band` as errors are seen; None where it is fixed beforehand."""
-
-    @classmethod
-    def of(
-        cls, band: Band, y: FloatArray, spread: FloatArray | None, measured: FloatArray | None, init_window: int
-    ) -> Limits:
-        """Around outputs y (K, m), with an ensemble's spread where the band follows it."""
-        low, high = band.limits(y, spread)
-        return cls(band, low, high, _share_held(low, high, measured, init_window))
-
-    @classmethod
-    def following(cls, band: AdaptiveBand, y: FloatArray, measured: FloatArray, init_window: int) -> Limits:
-        """Around predictions y (K, m), as wide as the errors up to k − h say."""
-        half = band.half_widths(measured - y, init_window)
-        low, high = y - half, y + half
-        return cls(band.start, low, high, _share_held(low, high, measured, init_window), band)
-
-    @property
-    def pair(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper limits."""
-        return self.low, self.high
-
-    @property
-    def name(self) -> str:
-        """For legends."""
-        return f"band of {100 * self.band.level:g} %"
-
-    def told(self, channels: Channels) -> list[str]:
-        """A line for each output."""
-        lines = []
-        for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
-            width = "the members' spread" if self.band.floor is not None else "" if unit == "–" else unit
-            half = f"{self.band.half_width[i]:.4g} {'× ' if self.band.floor is not None else ''}{width}".strip()
-            if self.adaptive is not None:
-                widths = (self.high - self.low)[:, i] / 2
-                half += (
-                    f" at first, then {widths.min():.4g} to {widths.max():.4g} by the coverage seen (step "
-                    f"{self.adaptive.steps[i]:g}); the first"
-                )
-            seen = "" if self.held is None or np.isnan(self.held[i]) else f"; it holds {100 * self.held[i]:.1f} % here"
-            lines.append(
-                f"{self.name}, {name}: ± {half}, from {self.band.blocks[i]} blocks of {self.band.length[i]} samples of "
-                f"the validation record{self._doubt(i)}{seen}"
-            )
-        return lines
-
-    def _doubt(self, output: int) -> str:
-        if self.band.assured(output):
-            return ""
-        return (
-            f", whose errors remember {self.band.memory[output]}: it is too short to assure {100 * self.band.level:g} %"
-        )
-
-
-def _share_held(low: FloatArray, high: FloatArray, measured: FloatArray | None, init_window: int) -> FloatArray | None:
-    if measured is None or len(measured) <= init_window:
-        return None
-    held, there = (low <= measured) & (measured <= high), np.isfinite(measured)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(held[init_window:].sum(axis=0) / there[init_window:].sum(axis=0))
-
-
-def adaptive_simulation() -> InputError:
-    """That a simulation's band cannot follow what is seen."""
-    return InputError(
-        "interval-by adaptive: expected predictions, which know the outputs up to then, found a simulation: use 'nnss "
-        "predict', or leave --interval-by out"
-    )
 
 
 def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:
@@ -280,7 +195,10 @@ def simulation_limits(
     """
     by = band_scale(scale)
     if by == "adaptive":
-        raise adaptive_simulation()
+        raise InputError(
+            "interval-by adaptive: expected predictions, which know the outputs up to then, found a simulation: use "
+            "'nnss predict', or leave --interval-by out"
+        )
     val = fitting_records(trained).val if data is None else (data,)
     band = simulation_band(trained, val, level, by)
     spread = None

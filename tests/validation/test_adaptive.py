@@ -9,9 +9,11 @@ import scipy.signal
 
 from nnss_cli.errors import InputError
 from nnss_cli.trained import load
+from nnss_cli.trained.simulate import Simulated
 from nnss_cli.validation.adaptive import STEPS, AdaptiveBand, _step, adapt
 from nnss_cli.validation.bands import Band, calibrate
-from nnss_cli.validation.trained import Limits, forecaster
+from nnss_cli.validation.limits import Limits
+from nnss_cli.validation.trained import forecaster, simulation_limits
 
 
 def noise(pole: float, samples: int, seed: int) -> np.ndarray:
@@ -162,7 +164,7 @@ def test_a_predictors_band(plant_run: Callable[..., Path]) -> None:
     assert f"± {fixed.band.half_width[0]:.4g} m at first, then {widths.min():.4g} to {widths.max():.4g}" in line
     assert f"it holds {100 * adaptive.held[0]:.1f} % here" in line
     with pytest.raises(InputError, match="expected predictions, .* found a simulation"):
-        found.limits(record, None, 0.9, "adaptive")
+        simulation_limits(found.trained, Simulated(record.u, record.y, record.y, record.y, ()), 0.9, "adaptive")
 
 
 def test_limits_count_what_lies_within() -> None:

@@ -15,8 +15,8 @@ from nnss_cli.errors import InputError
 from nnss_cli.methods.linear import subspace_model
 from nnss_cli.validation.bands import Band, calibrate, memory
 from nnss_cli.validation.gain import estimate_gain
+from nnss_cli.validation.limits import Limits
 from nnss_cli.validation.predictor import Predictor, steppers_of
-from nnss_cli.validation.trained import Limits
 
 
 def noise(pole: float, samples: int, seed: int) -> np.ndarray:
