@@ -114,6 +114,7 @@ def test_the_scored_initial_state_is_the_fitted_one(system: Callable, criterion:
     assert values[0] <= criterion_value(start, train, criterion)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("m", "criterion"), slow_but((0,), [(1, "trace"), (2, "det")]))
 def test_a_long_record_ends_where_a_short_one_would(
     system: Callable, monkeypatch: pytest.MonkeyPatch, m: int, criterion: module.Criterion

@@ -76,6 +76,7 @@ def test_too_short_a_record_is_named() -> None:
         ssregest((record,), 6)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("name", "order"), [("twotank", 3), ("robotarm", 5), ("daisy-powerplant", 4)])
 def test_train_errors_are_not_above_the_printed_ones(name: str, order: int, mirror: Path) -> None:
     fetch(BENCHMARKS[name], mirror=str(mirror), offline=True)

@@ -161,6 +161,7 @@ def test_a_former_name_is_told_once_and_kept_runs_and_models_of_it_are_todays(nn
     assert json.loads(certified.out)["stability"] == "quadratic"
 
 
+@pytest.mark.system
 def test_repeated_orders_and_methods(nnss: Callable) -> None:
     outcome = nnss(
         "compare", "twotank-sim", "--orders", "1", "--orders", "2", "--methods", "n4sid", "--out", "elsewhere"
@@ -170,6 +171,7 @@ def test_repeated_orders_and_methods(nnss: Callable) -> None:
     assert not Path("elsewhere/twotank-sim/paper/states.png").exists()  # no NN-SS run, no states
 
 
+@pytest.mark.system
 def test_order_selection(nnss: Callable) -> None:
     outcome = nnss("order", "twotank-sim", "--max-order", "4")
     assert outcome.code == 0, outcome.err

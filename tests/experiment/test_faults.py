@@ -240,6 +240,7 @@ def test_two_commands_on_one_folder_share_the_work_and_both_finish(method: Path,
     assert not faults.leftovers(out)
 
 
+@pytest.mark.system
 def test_a_run_that_another_command_holds_is_waited_for_and_taken_over_when_it_dies(
     method: Path, tmp_path: Path
 ) -> None:

@@ -1,6 +1,7 @@
 """Scores, the store, and sweeps that resume and do not depend on the number of processes."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from nnss_cli.errors import InputError
 from nnss_cli.experiment import ablation
 from nnss_cli.experiment import order as order_selection
-from nnss_cli.experiment.agreement import difference, unlike
+from nnss_cli.experiment.agreement import OTHER_DATA, difference, unlike
 from nnss_cli.experiment.comparison import _facts
 from nnss_cli.experiment.execute import execute, simulate_splits
 from nnss_cli.experiment.order import OrderRow, order_table, suggest_order
@@ -345,7 +346,7 @@ def test_other_methods_and_orders_are_not_run_on_other_data(
     store = Store(tmp_path, "small", "strict")
     first, second = small_data(seed=1), small_data(seed=2)
     execute(plan(store, first, select(["n4sid"]), [2], [0], {}, False).todo[0], first, store)
-    expected = "runs of n4sid, order 2, with another version of the data"
+    expected = rf"runs of n4sid, order 2, with {re.escape(OTHER_DATA)}"
     with pytest.raises(InputError, match=f"{expected}: take another folder with --out, or --force"):
         plan(store, second, select([method]), [states], [0], {}, False)
     with pytest.raises(InputError, match=f"{expected}, which this command does not replace"):

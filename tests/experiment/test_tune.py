@@ -145,6 +145,7 @@ def parsed(line: str) -> dict:
     return kept
 
 
+@pytest.mark.system
 def test_the_printed_command_trains_the_trial(nnss: Callable) -> None:
     """`--hidden 7 --window 40` given, it printed 79 79 79 79 and 70."""
     given = ("--hidden", "7", "--window", "40", "--epochs", "2", "--encoder", "3", "--protocol", "strict")

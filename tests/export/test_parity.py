@@ -515,6 +515,7 @@ def test_the_command_exports(
     assert "\nStart: the model finds z(0) from the first 20 output samples." in done.out
 
 
+@pytest.mark.system
 def test_the_command_fails_where_the_check_does(
     nnss: Callable, trained: Callable[[str], TrainedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:

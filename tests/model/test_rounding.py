@@ -116,6 +116,7 @@ def test_the_matrix_formed_is_below_gamma(n: int, gamma: float, seed: int, dtype
     assert np.abs(np.linalg.eigvals(A)).max() < gamma
 
 
+@pytest.mark.system
 def test_states_do_not_grow_at_a_frozen_scheduling_point() -> None:
     # equal halves and V = 0: A is symmetric and its ρ as near to γ = 1 as it gets, so every growth counts
     random = np.random.default_rng(3)

@@ -27,6 +27,7 @@ class Page(HTMLParser):
         self.elements.append((tag, dict(attrs)))
 
 
+@pytest.mark.system
 def test_one_command_writes_a_page_that_loads_nothing(tmp_path: Path, nnss: Callable) -> None:
     make_runs(tmp_path / "results")
     done = nnss("report", "--html", "--out", tmp_path / "results")

@@ -109,6 +109,7 @@ def test_logarithmic_axes_have_plain_numbers_that_do_not_touch(Ts: float) -> Non
     plt.close(figure)
 
 
+@pytest.mark.system
 def test_equal_records_give_equal_files(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         save_figure(report.draw_inspection(record(1, 1), "x"), tmp_path / name)

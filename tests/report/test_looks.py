@@ -121,6 +121,7 @@ def test_a_dense_record_is_an_envelope_and_its_zoom_shows_single_oscillations() 
     figures.plt.close(figure)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("outputs", [1, 3])
 def test_in_one_column_the_zoom_stands_below_with_all_its_panels(outputs: int) -> None:
     t = np.arange(400.0)

@@ -68,6 +68,7 @@ def test_no_column_takes_the_place_of_another(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table[["x1_", "x2"]], [[7, 8], [9, 6]])
 
 
+@pytest.mark.system
 def test_what_is_written_has_the_times_of_the_file(
     new: Path, nnss: Callable, trained_folder: Callable[..., Path]
 ) -> None:
@@ -312,6 +313,7 @@ def test_outputs_whose_squares_are_no_numbers_are_out_of_range(far: float) -> No
         require_finite("the simulation", y)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("method", ["n4sid", "nnss"])
 def test_show_tells_what_a_folder_holds(method: str, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
     folder = trained_folder(method, **({"epochs": 1, "hidden": (3,), "encoder": (2,)} if method == "nnss" else {}))

@@ -231,6 +231,7 @@ def test_how_far_off_guesses_are_is_kept_and_older_folders_have_states_of_size_o
     assert np.abs(load(folder).simulate(u, y).y - model.simulate(u, y).y).max() > 1e-6
 
 
+@pytest.mark.system
 def test_equal_trainings_give_equal_folders(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
     """To the byte, whenever and by whichever command; an earlier version's model, which kept its times, loads."""
     dataset, folder = small_dataset(), trained_folder("nnss", **QUICK)

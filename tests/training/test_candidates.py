@@ -502,6 +502,7 @@ def test_judged_by_blocks_validation_is_one_of_them(small_data: Callable, monkey
         recipe.replace(judge="test")
 
 
+@pytest.mark.system
 def test_an_integrator_that_won_is_not_started_cold(small_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """Adam cannot train one in the compiled engine: what cannot be combined is not tried."""
     data = small_data(K=150).fitting

@@ -104,6 +104,7 @@ def test_where_y_schedules_the_loss_starts_at_the_second_sample(small_data: Call
     assert not torch.allclose(training_loss(model, u, y_changed, 0.1), loss)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_same_seed_gives_the_same_bits(dtype: str, engine: str, small_data: Callable) -> None:

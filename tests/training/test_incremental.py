@@ -41,6 +41,7 @@ def lure_plant(n: int, m: int, seed: int, strength: float = 0.3) -> tuple[Feedba
     return model, model.states(random.standard_normal((300, 1)), np.zeros(n))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("gamma", "gain"), [(1.0, 0.0), (0.99, 0.0), (1.0, 100.0)])
 def test_a_linear_start_simulates_like_ssest(gamma: float, gain: float) -> None:
     data = load("twotank-sim").fitting

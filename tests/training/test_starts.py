@@ -68,6 +68,7 @@ def test_where_ssest_fails_training_starts_at_random_and_says_so(kind: str) -> N
     assert fit.remarks[: len(training.remarks)] == training.remarks
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("kind", POOR)
 def test_a_layer_starts_where_it_can_on_poor_data(kind: str) -> None:
     """Units without effect need room beside the model, which rounding may leave negative."""

@@ -228,6 +228,7 @@ def test_each_member_of_an_ensemble_has_its_own_gain(new: Path, nnss: Callable, 
     assert found["steps"]["predicted"][0][0] < found["steps"]["simulated"][0]
 
 
+@pytest.mark.system
 def test_validate_takes_a_split_of_the_run(nnss: Callable, plant_run: Callable[..., Path]) -> None:
     found = json.loads(nnss("validate", plant_run(), "--split", "val", "--json").out)
     assert found["record"] == "val"
