@@ -296,8 +296,9 @@ def _changes(methods: Sequence[Method], settings: Mapping[str, Any] | None) -> d
 
 
 def _names(files: str | Path | Sequence[str | Path]) -> list[str]:
-    several = isinstance(files, Iterable) and not isinstance(files, str | pd.DataFrame | np.ndarray)
-    names = [*files] if several else [files]
+    names: list[Any] = [files]
+    if isinstance(files, Iterable) and not isinstance(files, str | pd.DataFrame | np.ndarray):
+        names = [*files]
     if not all(isinstance(name, str | Path) for name in names):
         raise InputError(
             f"data: expected a benchmark's name or files, found {type(files).__name__}: write it to a file first, or "

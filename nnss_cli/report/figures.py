@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -258,5 +259,5 @@ def save_figure(figure: Figure, *paths: Path) -> None:
     for path in paths:
         metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
         with plt.rc_context(STYLE):
-            write_atomically(path, lambda temporary, about=metadata: figure.savefig(temporary, metadata=about))
+            write_atomically(path, partial(figure.savefig, metadata=metadata))
     plt.close(figure)
