@@ -184,7 +184,7 @@ def draw_orders(
                 *zip(*known, strict=True), color=colour, linestyle=line, marker=marker, markersize=4, label=label
             )
         right.set_ylabel(f"{measure} [–]")
-        right.set_ylim(0, 1.08 * right.dataLim.ymax)
+        right.set_ylim(0, 1.08 * (right.dataLim.ymax or 1))
         right.axvline(chosen, color="black", linewidth=0.8, linestyle=":", label=f"suggested: {chosen}")
         right.legend()
         for panel in (left, right):
