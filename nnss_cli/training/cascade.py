@@ -26,16 +26,16 @@ import scipy.linalg
 import torch
 
 from nnss_cli.baselines.statespace import LinearStateSpace, spectral_radius
-from nnss_cli.datasets.record import FloatArray, Record, unscored
+from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.architecture import Architecture
 from nnss_cli.model.incremental import Lure, PlainArrays
-from nnss_cli.model.initial import spread_of, state_from_window
+from nnss_cli.model.initial import spread_of
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.training import lure_kernels as kernels
 from nnss_cli.training.encoder import fit_encoder, regress_encoder
 from nnss_cli.training.engine import Engine
 from nnss_cli.training.fast import STRETCH, Weights
-from nnss_cli.training.feedback import TOO_LARGE
+from nnss_cli.training.feedback import TOO_LARGE, FromWindows
 from nnss_cli.training.gauss_newton import ahead
 from nnss_cli.training.least_squares import Block, NormalEquations, levenberg_marquardt
 from nnss_cli.training.lure import plain_sensitivities
@@ -60,7 +60,7 @@ Division = tuple[FloatArray, FloatArray, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Cascade:
+class Cascade(FromWindows):
     """A model of this form in normalised units, and the matrix that takes y(0) to its x(0)."""
 
     plain: PlainArrays
@@ -91,30 +91,11 @@ class Cascade:
         """ŷ (k, m), x (k, n) and ∂ŷ/∂[all matrices; x(0)] (k, m, P + n), in stretches of k samples."""
         return plain_sensitivities(self.plain, x0, u, STRETCH)
 
-    def state_from(
-        self, u: FloatArray, y: FloatArray, guess: FloatArray, spread: FloatArray | None = None
-    ) -> FloatArray:
-        """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
-
-        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-            parts = [(simulated, J[:, :, -len(x0) :]) for simulated, _, J in self.sensitivities(u[: len(y)], x0)]
-            simulated, J = (np.concatenate(each) for each in zip(*parts, strict=True))
-            return (simulated - y).ravel(), J.reshape(-1, len(x0))
-
-        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
-
-    def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray) -> float:
-        """Mean square error of free simulations from w first outputs, guessed by E y(0) + e.
-
-        LLᵀ is the covariance of what such guesses are off by, L the spread (n, n).
-        """
-        errors = []
-        for record in val:
-            x = self.states(record.u, self.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread))
-            errors.append((self.outputs(record.u, x) - record.y)[unscored(w) :])
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = float(np.mean(np.square(np.concatenate(errors))))
-        return error if np.isfinite(error) else np.inf
+    def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
+        parts = [(simulated, J[:, :, -len(x0) :]) for simulated, _, J in self.sensitivities(u, x0)]
+        simulated, J = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return simulated, J
 
 
 def divisions(A: FloatArray) -> list[Division]:

@@ -18,7 +18,8 @@ L. Xie, "On the discrete-time bounded real lemma", Systems & Control Letters 18(
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -46,13 +47,53 @@ CUT = 1e-4  # relative singular value below which the regression sees nothing
 TOO_LARGE = 1e6  # a normalised state beyond it has diverged
 
 
-def plain(array: FloatArray) -> FloatArray:
+def contiguous(array: FloatArray) -> FloatArray:
     """As the compiled loops take it."""
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
+class FromWindows(ABC):
+    """What a model of normalised signals does from first outputs."""
+
+    @abstractmethod
+    def states(self, u: FloatArray, x0: FloatArray) -> FloatArray:
+        """x (K, n) for inputs (K, r); not finite, or beyond `TOO_LARGE`, where it diverges."""
+
+    @abstractmethod
+    def outputs(self, u: FloatArray, x: FloatArray) -> FloatArray:
+        """ŷ (K, m) at states x (K, n) under inputs u (K, r)."""
+
+    @abstractmethod
+    def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
+
+    def state_from(
+        self, u: FloatArray, y: FloatArray, guess: FloatArray, spread: FloatArray | None = None
+    ) -> FloatArray:
+        """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
+
+        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+            simulated, J = self.response(u[: len(y)], x0)
+            return (simulated - y).ravel(), J.reshape(-1, len(x0))
+
+        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
+
+    def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray) -> float:
+        """Mean square error of free simulations from w first outputs, guessed by E y(0) + e; ∞ where one diverges.
+
+        LLᵀ is the covariance of what such guesses are off by, L the spread (n, n).
+        """
+        errors = []
+        with np.errstate(over="ignore", invalid="ignore"):
+            for record in val:
+                x = self.states(record.u, self.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread))
+                errors.append((self.outputs(record.u, x) - record.y)[unscored(w) :])
+            error = float(np.mean(np.square(np.concatenate(errors))))
+        return error if np.isfinite(error) else np.inf
+
+
 @dataclass(frozen=True, eq=False)
-class Feedback:
+class Feedback(FromWindows):
     """x(k+1) = A x + B u + F tanh(G x), ŷ = C x + D u, in normalised units; D = 0 without feedthrough."""
 
     A: FloatArray
@@ -65,19 +106,8 @@ class Feedback:
     def states(self, u: FloatArray, x0: FloatArray) -> FloatArray:
         """x (K, n) for inputs (K, r)."""
         path = np.empty((len(u), len(x0)))
-        kernels.simulate(*map(plain, (self.A, u @ self.B.T, self.F, self.G, x0)), TOO_LARGE, path)
+        kernels.simulate(*map(contiguous, (self.A, u @ self.B.T, self.F, self.G, x0)), TOO_LARGE, path)
         return path
-
-    def state_from(
-        self, u: FloatArray, y: FloatArray, guess: FloatArray, spread: FloatArray | None = None
-    ) -> FloatArray:
-        """The x(0) (n,) that explains first outputs y (w, m) best; see `nnss_cli.model.initial`."""
-
-        def evaluate(x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-            simulated, J = self.response(u[: len(y)], x0)
-            return (simulated - y).ravel(), J.reshape(-1, len(x0))
-
-        return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
 
     def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
@@ -91,7 +121,7 @@ class Feedback:
         """
         J = np.empty((len(path), len(self.C), len(path[0]) * (z.shape[1] + 1)))
         slopes = 1 - np.tanh(path @ self.G.T) ** 2
-        kernels.sensitivities(*map(plain, (self.A, self.F, self.G, self.C, slopes, z)), z.shape[1], J)
+        kernels.sensitivities(*map(contiguous, (self.A, self.F, self.G, self.C, slopes, z)), z.shape[1], J)
         return J
 
     def outputs(self, u: FloatArray, x: FloatArray) -> FloatArray:
@@ -230,18 +260,9 @@ def fit_feedback(
     model, E = start
     problem = Problem(model, E, gain * model.C, train, feedthrough)
     y = np.concatenate([record.y for record in train])
-    w = init_window
-    scored = unscored(w)
-    known = np.concatenate([record.y[scored:] for record in val])
 
     def val_error(model: Feedback, x: FloatArray, E: FloatArray, e: FloatArray) -> float:
-        spread = spread_of(x - y @ E.T - e) if w > 1 else None
-        begin = [model.state_from(record.u, record.y[:w], E @ record.y[0] + e, spread) for record in val]
-        path = [model.states(record.u, x0) for record, x0 in zip(val, begin, strict=True)]
-        if not all(np.isfinite(x).all() for x in path):
-            return np.inf
-        simulated = [model.outputs(record.u, x)[scored:] for record, x in zip(val, path, strict=True)]
-        return float(np.mean((np.concatenate(simulated) - known) ** 2))
+        return model.validated(val, init_window, E, e, spread_of(x - y @ E.T - e))
 
     linear, begin = problem.parts(problem.start)
     x = np.concatenate([linear.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)])
