@@ -6,9 +6,10 @@ from nnss_cli.methods import METHODS
 from nnss_cli.testing import MethodLaws
 
 OF_MEMBERS = [name for name, method in METHODS.built_in.items() if method.members]
-# of those that are made of others' runs one will do: they differ in a rule alone
+# those that are made of others' runs differ in a rule alone: one of them will do, and its fits are those of its member
+MARKS = dict(zip(OF_MEMBERS, [pytest.mark.system, *[pytest.mark.slow] * len(OF_MEMBERS)], strict=False))
 SUBJECTS = [
-    pytest.param(method, id=name, marks=[pytest.mark.slow] * (name in OF_MEMBERS[1:]))
+    pytest.param(method, id=name, marks=[MARKS[name]] if name in MARKS else [])
     for name, method in METHODS.built_in.items()
 ]
 

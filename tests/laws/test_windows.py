@@ -19,12 +19,11 @@ SMALL = {
 }  # fmt: skip
 KINDS = {"siso": (1, 1, (80,)), "mimo": (2, 2, (120,)), "two experiments": (1, 1, (70, 80))}
 WINDOWS = (1, 4, 50)
-OF_MEMBERS = [name for name in METHODS if METHODS[name].members]  # they differ in a rule alone: one will do
+OF_MEMBERS = [name for name in METHODS if METHODS[name].members]  # as in test_methods.py
+MARKS = dict(zip(OF_MEMBERS, [pytest.mark.system, *[pytest.mark.slow] * len(OF_MEMBERS)], strict=False))
 
 pytestmark = [
-    pytest.mark.parametrize(
-        "name", slow_but([i for i, name in enumerate(METHODS) if name not in OF_MEMBERS[1:]], METHODS)
-    ),
+    pytest.mark.parametrize("name", [pytest.param(n, marks=[MARKS[n]] if n in MARKS else []) for n in METHODS]),
     pytest.mark.parametrize(("kind", "window"), slow_but((0, 2, 4, 8), product(KINDS, WINDOWS))),
 ]
 
