@@ -104,7 +104,7 @@ def test_inspect_says_what_the_command_says(plant: str) -> None:
         ({"methods": ["magic"]}, "unknown method 'magic'"),
         ({"methods": "n4sid"}, r"methods: expected a list of names, found 'n4sid': write \['n4sid'\]"),
         ({"methods": 5}, "methods: expected a list of names, found 5"),
-        ({"settings": ["widths"]}, "settings: expected values by the name of an option, found .'widths'."),
+        ({"settings": ["widths"]}, r"settings: expected values by the name of an option, found \['widths'\]"),
         (
             {"settings": {"widths": 3}},
             r"settings 'widths': no chosen method \(n4sid\) has .*, nor has any other: choose from horizon",

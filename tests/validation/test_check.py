@@ -89,6 +89,10 @@ def test_samples_that_a_part_of_the_model_has_seen_are_told() -> None:
         "samples.",
     ]
     assert list(check._known(fitting, [replace(records[0], y=records[0].y + 1e-9)])) == []
+    later = records[0].y.copy()
+    later[89] += 1e-9  # the last sample of validation
+    (told,) = check._known(fitting, [replace(records[0], y=later)])
+    assert "chosen on 49 of these 300 samples" in told
     (told,) = check._known(fitting, [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
     assert "chosen on 30 of these 70 samples" in told
 
