@@ -178,11 +178,11 @@ def files_by_role(description: Description) -> dict[PartName, tuple[str, ...]]:
                     f"file '{file}' stands under two of train, val and test, found {other} and {role}: leave it in one"
                 )
     for files in (description.files, description.val, *description.test.values()):
-        paths = [description.path(file) for file in files]
-        for i, path in enumerate(paths):
-            if path in paths[:i]:
-                first = files[paths.index(path)]
-                raise InputError(f"file '{files[i]}' stands twice, found it as '{first}', too: name it once")
+        named: dict[Path, str] = {}
+        for file in files:
+            first = named.setdefault(description.path(file), file)
+            if first != file:
+                raise InputError(f"file '{file}' stands twice, found it as '{first}', too: name it once")
     return roles
 
 

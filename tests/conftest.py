@@ -35,6 +35,16 @@ def slow_but(kept: Collection[int], cases: Iterable[Any]) -> list[Any]:
     ]
 
 
+def marks_of(method: str) -> list[Any]:
+    """Combinations differ in a rule alone and fit their member: the laws of one are system tests, of others slow."""
+    from nnss_cli.methods import METHODS
+
+    combinations = [name for name, each in METHODS.built_in.items() if each.members]
+    if method not in combinations:
+        return []
+    return [pytest.mark.system if method == combinations[0] else pytest.mark.slow]
+
+
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """No test sees the user's cache or mirror, or leaves anything in them."""

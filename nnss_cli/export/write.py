@@ -37,15 +37,36 @@ class _Target:
     """Packages beyond nnss's own."""
     single: bool = False
     """Whether it has single precision beside double, where that holds the model's signals."""
+    refuses: Callable[[str], bool] = lambda _: False
+    """Whether files of a name, an identifier, could not be used: the checks load them by their paths."""
+    expected: str = ""
+    """What was expected of a name that it refuses, as `name`."""
+
+
+def _is_module(name: str) -> bool:
+    return keyword.iskeyword(name) or name in sys.stdlib_module_names or name in packages_distributions()
 
 
 _TARGETS = {
-    "control": _Target("nnss_cli.export.control_module", "write_control"),
-    "casadi": _Target("nnss_cli.export.casadi_function", "write_casadi", ("casadi",)),
+    "control": _Target(
+        "nnss_cli.export.control_module", "write_control", refuses=_is_module,
+        expected="one of no Python module, found '{name}': the file would be taken for it",
+    ),
+    "casadi": _Target(
+        "nnss_cli.export.casadi_function", "write_casadi", ("casadi",),
+        refuses=lambda name: name.startswith("_") or "__" in name,
+        expected="one that a function of casadi may have, which must begin with a letter, without '__', found '{name}'",
+    ),
     "onnx": _Target("nnss_cli.export.onnx_graph", "write_onnx", ("onnx", "onnxruntime"), single=True),
-    "c": _Target("nnss_cli.export.c99", "write_c", single=True),
-    "mat": _Target("nnss_cli.export.matlab", "write_mat"),
-}
+    "c": _Target(
+        "nnss_cli.export.c99", "write_c", single=True, refuses=HEADERS.__contains__,
+        expected="one of no header of C, found '{name}': {name}.h would be taken for it",
+    ),
+    "mat": _Target(
+        "nnss_cli.export.matlab", "write_mat", refuses=lambda name: name.startswith("_"),
+        expected="one that a function of mat may have, which must begin with a letter, found '{name}'",
+    ),
+}  # fmt: skip
 TARGETS = tuple(_TARGETS)
 """What a model may be exported to."""
 
@@ -62,25 +83,6 @@ class Exported:
     """How their start differs from the model's; "" where it does not."""
     left_out: str
     """Why there is none in single precision; "" where there is, and of targets that never have one."""
-
-
-def _check_name(name: str, to: str) -> None:
-    """Refuse a name under which the files could not be used: the checks load them by their paths.
-
-    Raises:
-        InputError: it is one.
-    """
-    if not (name.isidentifier() and name.isascii()):
-        raise InputError(f"name: expected letters, digits and '_', not beginning with a digit, found '{name:.60}'")
-    if to in ("mat", "casadi") and (name.startswith("_") or (to == "casadi" and "__" in name)):
-        what = "begin with a letter" + ", without '__'" * (to == "casadi")
-        raise InputError(f"name: expected one that a function of {to} may have, which must {what}, found '{name}'")
-    if to == "control" and (
-        keyword.iskeyword(name) or name in sys.stdlib_module_names or name in packages_distributions()
-    ):
-        raise InputError(f"name: expected one of no Python module, found '{name}': the file would be taken for it")
-    if to == "c" and name in HEADERS:
-        raise InputError(f"name: expected one of no header of C, found '{name}': {name}.h would be taken for it")
 
 
 def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", force: bool = False) -> Exported:
@@ -101,8 +103,11 @@ def export(model: TrainedModel, to: str, out: str | Path, name: str = "model", f
     """
     if to not in _TARGETS:
         raise unknown("target", to, _TARGETS)
-    _check_name(name, to)
+    if not (name.isidentifier() and name.isascii()):
+        raise InputError(f"name: expected letters, digits and '_', not beginning with a digit, found '{name:.60}'")
     target, out = _TARGETS[to], Path(out)
+    if target.refuses(name):
+        raise InputError(f"name: expected {target.expected.format(name=name)}")
     for package in target.needs:
         try:
             importlib.import_module(package)

@@ -75,13 +75,13 @@ def _write_files(store: Store, made_of: Table, times: bool, look: Look) -> list[
     }
     for name, figure in drawn.items():
         wanted = look.formats or (("png", "svg") if name == "boxplot" else ("png",))
-        paths = {suffix: folder / f"{name}.{suffix}" for suffix in FORMATS}
-        drawn_to = [path for suffix, path in paths.items() if figure is not None and suffix in wanted]
-        for path in set(paths.values()) - set(drawn_to):
-            path.unlink(missing_ok=True)  # one of an earlier set of runs, or of an earlier call
+        for suffix in FORMATS:
+            if figure is None or suffix not in wanted:  # one of an earlier set of runs, or of an earlier call
+                (folder / f"{name}.{suffix}").unlink(missing_ok=True)
         if figure is not None:
-            figures.save_figure(figure, *drawn_to)
-        written += drawn_to
+            paths = [folder / f"{name}.{suffix}" for suffix in FORMATS if suffix in wanted]
+            figures.save_figure(figure, *paths)
+            written += paths
     return written
 
 

@@ -190,7 +190,7 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
         found.time, found.measured[:, i] - found.one_ahead[:, i], color="#D55E00", linewidth=0.6,
         label=f"one step ahead, r1 = {each.white.correlation[0]:.2f}",
     )  # fmt: skip
-    low.set_ylabel("error" if each.unit == "–" else f"error [{each.unit}]")
+    low.set_ylabel(f"error [{each.unit}]" if has_unit(each.unit) else "error")
     low.legend(ncols=2, **ABOVE)
     low.set_xlabel("time [s]")
     for panel in (top, low):

@@ -93,8 +93,8 @@ class Cascade(FromWindows):
 
     def response(self, u: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ŷ (K, m) for inputs (K, r), and its derivatives by x(0) (K, m, n)."""
-        parts = [(simulated, J[:, :, -len(x0) :]) for simulated, _, J in self.sensitivities(u, x0)]
-        simulated, J = (np.concatenate(each) for each in zip(*parts, strict=True))
+        stretches = [(simulated, J[:, :, -len(x0) :]) for simulated, _, J in self.sensitivities(u, x0)]
+        simulated, J = (np.concatenate(each) for each in zip(*stretches, strict=True))
         return simulated, J
 
 

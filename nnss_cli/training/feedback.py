@@ -78,10 +78,12 @@ class FromWindows(ABC):
 
         return state_from_window(evaluate, guess, float(np.finfo(np.float64).eps), spread) if len(y) > 1 else guess
 
-    def validated(self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray) -> float:
+    def validated(
+        self, val: Sequence[Record], w: int, E: FloatArray, e: FloatArray, spread: FloatArray | None
+    ) -> float:
         """Mean square error of free simulations from w first outputs, guessed by E y(0) + e; ∞ where one diverges.
 
-        LLᵀ is the covariance of what such guesses are off by, L the spread (n, n).
+        LLᵀ is the covariance of what such guesses are off by, L the spread (n, n); of no use where w = 1.
         """
         errors = []
         with np.errstate(over="ignore", invalid="ignore"):
@@ -262,7 +264,8 @@ def fit_feedback(
     y = np.concatenate([record.y for record in train])
 
     def val_error(model: Feedback, x: FloatArray, E: FloatArray, e: FloatArray) -> float:
-        return model.validated(val, init_window, E, e, spread_of(x - y @ E.T - e))
+        spread = spread_of(x - y @ E.T - e) if init_window > 1 else None
+        return model.validated(val, init_window, E, e, spread)
 
     linear, begin = problem.parts(problem.start)
     x = np.concatenate([linear.states(record.u, x0) for record, x0 in zip(train, begin, strict=True)])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nnss_cli.datasets.record import Channels, FloatArray
+from nnss_cli.datasets.units import has_unit
 from nnss_cli.validation.adaptive import AdaptiveBand
 from nnss_cli.validation.bands import Band
 
@@ -56,8 +57,8 @@ class Limits:
         """A line for each output."""
         lines = []
         for i, (name, unit) in enumerate(zip(channels.outputs, channels.output_units, strict=True)):
-            width = "the members' spread" if self.band.floor is not None else "" if unit == "–" else unit
-            half = f"{self.band.half_width[i]:.4g} {'× ' if self.band.floor is not None else ''}{width}".strip()
+            of = "× the members' spread" if self.band.floor is not None else unit * has_unit(unit)
+            half = f"{self.band.half_width[i]:.4g} {of}".strip()
             if self.adaptive is not None:
                 widths = (self.high - self.low)[:, i] / 2
                 half += (

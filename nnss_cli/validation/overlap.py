@@ -21,9 +21,9 @@ def samples_in(record: Record, others: Sequence[Record]) -> NDArray[np.bool_]:
     those before them: two experiments may well rest at the same values. Samples are compared by hashes of 64 bits.
     """
     own, held = _hashes(record), np.zeros(len(record), dtype=bool)
+    moves = np.cumsum(np.concatenate([[False], own[1:] != own[:-1]]))
     for other in others:
         w = min(STRETCH, len(record), len(other))
-        moves = np.cumsum(np.concatenate([[False], own[1:] != own[:-1]]))
         moving = 2 * (moves[w - 1 :] - moves[: len(own) - w + 1]) >= w - 1
         for begin in np.flatnonzero(np.isin(_rolled(own, w), _rolled(_hashes(other), w)) & moving):
             held[begin : begin + w] = True

@@ -1,17 +1,12 @@
 """What every method must obey, whatever it is: adding one to the package adds it here."""
 
 import pytest
+from conftest import marks_of
 
 from nnss_cli.methods import METHODS
 from nnss_cli.testing import MethodLaws
 
-OF_MEMBERS = [name for name, method in METHODS.built_in.items() if method.members]
-# those that are made of others' runs differ in a rule alone: one of them will do, and its fits are those of its member
-MARKS = dict(zip(OF_MEMBERS, [pytest.mark.system, *[pytest.mark.slow] * len(OF_MEMBERS)], strict=False))
-SUBJECTS = [
-    pytest.param(method, id=name, marks=[MARKS[name]] if name in MARKS else [])
-    for name, method in METHODS.built_in.items()
-]
+SUBJECTS = [pytest.param(method, id=name, marks=marks_of(name)) for name, method in METHODS.built_in.items()]
 
 
 @pytest.mark.parametrize("subject", SUBJECTS)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import linear_system, slow_but
+from conftest import linear_system, marks_of, slow_but
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Dataset, FittingData, Record, Scaling
 
@@ -19,11 +19,9 @@ SMALL = {
 }  # fmt: skip
 KINDS = {"siso": (1, 1, (80,)), "mimo": (2, 2, (120,)), "two experiments": (1, 1, (70, 80))}
 WINDOWS = (1, 4, 50)
-OF_MEMBERS = [name for name in METHODS if METHODS[name].members]  # as in test_methods.py
-MARKS = dict(zip(OF_MEMBERS, [pytest.mark.system, *[pytest.mark.slow] * len(OF_MEMBERS)], strict=False))
 
 pytestmark = [
-    pytest.mark.parametrize("name", [pytest.param(n, marks=[MARKS[n]] if n in MARKS else []) for n in METHODS]),
+    pytest.mark.parametrize("name", [pytest.param(name, marks=marks_of(name)) for name in METHODS]),
     pytest.mark.parametrize(("kind", "window"), slow_but((0, 2, 4, 8), product(KINDS, WINDOWS))),
 ]
 
