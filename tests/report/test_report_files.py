@@ -97,6 +97,11 @@ def test_a_comparison_has_tables_and_figures_and_drops_those_of_earlier_calls(tm
     store.clear(RunSpec("plant", "own", "nnss", 2, 0, {}, "0"))
     assert names(write_comparison(store)) == [name for name in USUAL if not name.startswith("states")]
     assert not list(store.folder.glob("states*"))
+    keep(store, "nnss")
+    assert names(write_comparison(store)) == USUAL
+    store.clear(RunSpec("plant", "own", "nnss", 2, 0, {}, "0"))
+    write_comparison(store)  # what is no longer drawn is no longer there, in a format that is wanted, too
+    assert not list(store.folder.glob("states*"))
 
 
 def test_wall_times_are_left_out_where_they_are_not_wanted(tmp_path: Path, drawn: Drawn) -> None:
