@@ -22,12 +22,33 @@ FloatArray: TypeAlias = NDArray[np.floating[Any]]
 Presets: TypeAlias = Mapping[str, Mapping[int, Mapping[str, Any]]]
 """Recipe → order → settings; an order that is not among them takes those of the nearest."""
 
+NO_NUMBERS = {"c": "complex ones: give real and imaginary parts as channels", "M": "dates", "m": "durations"}
+"""What NumPy would make floats of all the same, by kind: imaginary parts lost, ticks of a clock for measurements."""
+
 FITTED_ON = ("train", "val")
 """The splits that are no test; every other name is a test set's."""
 
 
+def as_floats(name: str, values: Any) -> FloatArray:
+    """A float64 copy of numbers; what a mask hides is NaN, for it is no measurement.
+
+    Raises:
+        InputError: they are complex, dates, durations or no numbers at all.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        values = values.astype(np.float64).filled(np.nan)
+    try:
+        kind = np.asarray(values).dtype.kind
+        array = np.zeros(0) if kind in NO_NUMBERS else np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected numbers: {error}") from error
+    if kind in NO_NUMBERS:
+        raise InputError(f"{name}: expected real numbers, found {NO_NUMBERS[kind]}")
+    return array
+
+
 def _signal(name: str, values: ArrayLike) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
+    array = as_floats(name, values)
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[0] == 0 or array.shape[1] == 0:
@@ -167,12 +188,23 @@ class Scaling:
 ROUNDING = 8 * np.finfo(np.float64).eps
 
 
-def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def about_mean(values: FloatArray) -> FloatArray:
+    """Signals (K, c) about their means; zero for a constant, whose computed mean is off by rounding."""
+    mean, constant = _mean_and_constant(values)
+    return np.where(constant, 0.0, values - mean)
+
+
+def _mean_and_constant(values: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     lowest, highest = values.min(axis=0), values.max(axis=0)
     grid = np.maximum(ROUNDING * np.maximum(np.abs(lowest), np.abs(highest)), np.finfo(np.float64).tiny)
     constant = highest - lowest <= grid
     # A constant's mean is the constant itself: what rounding leaves of a sum would be a signal to a regression.
-    mean = np.where(constant, values[0], values.mean(axis=0))
+    return np.where(constant, values[0], values.mean(axis=0)), constant
+
+
+def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    mean, constant = _mean_and_constant(values)
+    lowest, highest = values.min(axis=0), values.max(axis=0)
     freedom = 1 if len(values) > 1 else 0
     deviation = values.std(axis=0, ddof=freedom)
     lost = ~constant & (deviation == 0)  # squares of samples below 1e-162 underflow: their unit is the range

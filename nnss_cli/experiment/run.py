@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from nnss_cli.datasets.record import FloatArray, Scaling
+from nnss_cli.datasets.record import FloatArray, Scaling, about_mean
 
 Status: TypeAlias = Literal["ok", "diverged", "failed", "timeout", "memory", "crashed"]
 
@@ -121,7 +121,7 @@ def score_outputs(
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.concatenate(simulated) - np.concatenate(y)
         rmse = np.sqrt(np.mean(error**2, axis=0))
-        spread = np.sqrt(np.mean(np.concatenate([part - part.mean(axis=0) for part in y]) ** 2, axis=0))
+        spread = np.sqrt(np.mean(np.concatenate([about_mean(part) for part in y]) ** 2, axis=0))
     return [
         Score(
             split,

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from nnss_cli.datasets.record import FloatArray
+from nnss_cli.datasets.record import FloatArray, as_floats
 from nnss_cli.errors import InputError
 
 
 def as_samples(what: str, values: Any, names: Sequence[str]) -> FloatArray:
     """Samples × channels (K, c), float64, of what may be a number, a list, an array or a pandas object.
 
-    A table with columns is taken by the channels' names. One dimension is K samples of the only channel, or one
-    sample of c channels where that is the only reading.
+    A table with columns is taken by the channels' names, and so is a row of it, a Series that holds them all, which
+    is one sample. Else one dimension is K samples of the only channel, or one sample of c channels where that is the
+    only reading.
 
     Args:
         what: name of the argument, for messages.
@@ -27,18 +28,19 @@ def as_samples(what: str, values: Any, names: Sequence[str]) -> FloatArray:
     """
     columns = getattr(values, "columns", None)
     if columns is not None:
-        found = [str(column) for column in columns]
+        # a label that is a number is a place, counted from 0, and not the channel '1' of a file without a header
+        found = [column for column in columns if isinstance(column, str)]
         missing = [name for name in names if name not in found]
         if missing:
+            numbered = " (numbers, not names)" if len(found) < len(columns) else ""
             raise InputError(
-                f"{what}: expected the columns {', '.join(names)}, found {', '.join(found)}: rename them as the "
-                "model's channels, or give an array, samples × channels"
+                f"{what}: expected the columns {', '.join(names)}, found {', '.join(map(str, columns))}{numbered}: "
+                "rename them as the model's channels, or give an array, samples × channels"
             )
-        values = values[list(columns[[found.index(name) for name in names]])]
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{what}: expected numbers, samples × channels: {error}") from error
+        values = values[list(names)]
+    elif (row := _by_name(values, names)) is not None:
+        values = [row]
+    array = as_floats(what, values)
     c = len(names)
     if array.ndim == 0:
         array = array[None]
@@ -65,13 +67,15 @@ def as_values(what: str, values: Any, names: Sequence[str]) -> FloatArray:
     Raises:
         InputError: another number of values, or one that is no finite number.
     """
-    index = [str(label) for label in getattr(values, "axes", [()])[0]]
-    if set(names) <= set(index):
-        values = [values.iloc[index.index(name)] for name in names]
-    try:
-        array = np.array(values, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{what}: expected a number for each of {', '.join(names)}: {error}") from error
+    named = _by_name(values, names)
+    array = as_floats(what, values if named is None else named).reshape(-1)
     if array.shape != (len(names),) or not np.isfinite(array).all():
-        raise InputError(f"{what}: expected a finite number for each of {', '.join(names)}, found {values!r:.80}")
+        found = " ".join(repr(values).split())  # an array's may have lines
+        raise InputError(f"{what}: expected a finite number for each of {', '.join(names)}, found {found:.80}")
     return array
+
+
+def _by_name(values: Any, names: Sequence[str]) -> list[Any] | None:
+    """What a pandas Series holds under the channels' names; None for anything else."""
+    labels = list(getattr(values, "axes", [()])[0])
+    return [values.iloc[labels.index(name)] for name in names] if set(names) <= set(labels) else None

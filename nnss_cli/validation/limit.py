@@ -20,7 +20,7 @@ from nnss_cli.baselines.n4sid import matlab_horizon, n4sid
 from nnss_cli.baselines.ssest import ssest
 from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.baselines.subspace import Horizon
-from nnss_cli.datasets.record import ROUNDING, FloatArray, Record, Scaling
+from nnss_cli.datasets.record import FloatArray, Record, Scaling, about_mean
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection_dynamics import excerpt, multiple_coherence, welch
 
@@ -45,9 +45,9 @@ def coherence_limits(records: Sequence[Record]) -> list[float | None]:
     """
     r, m = records[0].input_count, records[0].output_count
     parts = [np.concatenate([record.u, record.y], axis=1) for record in records]
-    centred = [part - part.mean(axis=0) for part in parts]  # each by its own mean, as the fit has it
+    centred = list(map(about_mean, parts))  # each by its own mean, as the fit has it
     deviation = _rms(centred)
-    alive = deviation > ROUNDING * np.abs(np.concatenate(parts)).max(axis=0)
+    alive = deviation > 0
     used = int(alive[:r].sum())
     if not used:
         return [None] * m
@@ -78,7 +78,7 @@ def fitted_limits(records: Sequence[Record], own: int) -> list[float | None]:
     if not cut:
         return [None] * m
     scaled = tuple(map(Scaling.of(cut).apply, cut))
-    spread = _rms([record.y - record.y.mean(axis=0) for record in scaled])
+    spread = _rms([about_mean(record.y) for record in scaled])
     ways: list[Callable[[], LinearStateSpace]] = [functools.partial(ssest, scaled, scaled, n) for n in (own, own + 1)]
     for order in ORDERS:
         for horizon in (matlab_horizon(order, r, m), Horizon(4 * order, 4 * order, True, "moesp")):

@@ -295,6 +295,15 @@ def test_remarks_of_a_fit_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert store.results()[0].remarks == ("noted",)
 
 
+def test_the_fit_of_an_output_that_stands_still_is_none() -> None:
+    """Its deviation was the rounding of its mean, and the fit -1e17 %: a sensor that sticks, at other levels too."""
+    scaling = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+    y = [np.full((120, 1), level) for level in (0.3, 0.1, 1e6 / 3)]
+    assert any((part - part.mean(axis=0)).any() for part in y)  # what it is about
+    (score,) = score_outputs("test", y, [part + 0.1 for part in y], scaling)
+    assert (score.fit_percent, score.rmse) == (0.0, pytest.approx(0.1))
+
+
 def test_scores_are_of_all_records() -> None:
     scaling = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
     y = [np.zeros((3, 1)), np.zeros((1, 1))]

@@ -24,6 +24,7 @@ from nnss_cli.model.nnss import NNSS
 from nnss_cli.modelfile import FORMAT, read_model, read_tensors, write_tensors
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
+from nnss_cli.trained.signals import as_samples, as_values
 from nnss_cli.training import fast
 from nnss_cli.training.recipe import Recipe
 
@@ -86,6 +87,21 @@ def test_signals_of_any_kind(trained_folder: Callable[..., Path]) -> None:
     for inputs, first in ((u[:, 0], y[:2, 0]), (pd.Series(u[:, 0]), list(y[:2, 0]))):
         np.testing.assert_array_equal(one.simulate(inputs, first).y, expected)
     np.testing.assert_array_equal(one.simulate(u[:, 0], 0.5).y, one.model.simulate(u[:, :1], np.array([[0.5]])).y)
+    table = pd.DataFrame({"u1": u[:, 0], "y1": np.arange(20.0)})  # a row is one sample, and not one of each column
+    row = one.simulate(table, table.iloc[3]).y
+    np.testing.assert_array_equal(row, one.simulate(table, table[3:4]).y)
+    np.testing.assert_array_equal(one.simulate(table.iloc[3], 0.5).y, one.simulate(table[3:4], 0.5).y)
+
+
+def test_a_label_that_is_a_number_is_no_name() -> None:
+    """Column 1 of `read_csv(header=None)` is the second; the channel '1' of a file without a header is the first."""
+    table = pd.DataFrame({0: [1.0, 2.0], 1: [3.0, 4.0]})
+    with pytest.raises(InputError, match="u: expected the columns 1, found 0, 1 .numbers, not names"):
+        as_samples("u", table, ["1"])
+    np.testing.assert_array_equal(as_samples("u", table[0], ["1"]), [[1], [2]])
+    np.testing.assert_array_equal(as_samples("u", table.rename(columns=str), ["1"]), [[3], [4]])
+    with pytest.raises(InputError, match="u: expected a finite number for each of 1, found"):
+        as_values("u", table.iloc[0], ["1"])
 
 
 @pytest.mark.parametrize(
@@ -96,6 +112,13 @@ def test_signals_of_any_kind(trained_folder: Callable[..., Path]) -> None:
         (pd.DataFrame({"u1": [0.0], "v": [0.0]}), np.zeros(2), "expected the columns u1, u2, found u1, v"),
         ([[0.0, np.nan]], np.zeros(2), "sample 0 of 'u2' is nan"),
         ([["a", "b"]], np.zeros(2), "expected numbers"),
+        (pd.DataFrame(np.zeros((3, 2))), np.zeros(2), "u: expected the columns u1, u2, found 0, 1 .numbers, not names"),
+        (np.ma.masked_equal([[0.0, 9.0]], 9.0), np.zeros(2), "sample 0 of 'u2' is nan"),
+        (np.zeros((2, 2)), np.ma.masked_equal([0.0, 9.0], 9.0), "y_init: expected a finite number for each of y1, y2"),
+        (np.zeros((2, 2)) + 1j, np.zeros(2), "u: expected real numbers, found complex ones: give real and imaginary"),
+        (np.zeros((2, 2)), np.zeros(2, complex), "y_init: expected real numbers, found complex ones"),
+        (np.zeros((2, 2), "M8[s]"), np.zeros(2), "u: expected real numbers, found dates"),
+        (np.zeros((2, 2)), np.zeros(2, "m8[ms]"), "y_init: expected real numbers, found durations"),
         (np.zeros((2, 2)), np.zeros((3, 2)), "y_init: expected 1 to 2 samples"),
         (np.zeros((0, 2)), np.zeros(2), r"shape \(0, 2\)"),
     ],

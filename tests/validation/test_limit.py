@@ -96,3 +96,5 @@ def test_what_does_not_vary_has_no_limit(fitted: Callable) -> None:
     whole = linear_limits([record], 2)
     found = linear_limits([Record(np.hstack([flat, record.u]), np.hstack([flat, record.y]), 0.1)], 2)
     assert found == [None, *(pytest.approx(value) for value in whole)]
+    stuck = [Record(record.u, np.full((len(record), 1), level), 0.1) for level in (0.3, 0.1, 1e6 / 3)]
+    assert linear_limits(stuck, 2) == [None]
