@@ -83,17 +83,18 @@ def ensemble_of() -> Callable[..., Any]:
 
 @pytest.fixture
 def whole() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Blocks of an engine's sensitivities as one: errors (q,), derivatives (q, p + N n) by weights and x(0), states."""
+    """Blocks of sensitivities at x0 (N, n) as one: errors (q,), derivatives (q, p + N n) by weights and x0, states."""
 
-    def joined(blocks: Iterable[Any], windows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def joined(blocks: Iterable[Any], x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = list(blocks)
-        p, n = found[0].by_weights.shape[1], found[0].by_state.shape[1]
-        J = np.zeros((sum(len(block.errors) for block in found), p + windows * n))
+        n = x0.shape[1]
+        p = found[0].derivatives.shape[1] - n
+        J = np.zeros((sum(len(block.errors) for block in found), p + x0.size))
         row = 0
         for block in found:
             rows = slice(row, row := row + len(block.errors))
-            J[rows, :p] = block.by_weights
-            J[rows, p + block.window * n : p + (block.window + 1) * n] = block.by_state
+            J[rows, :p] = block.derivatives[:, :p]
+            J[rows, p + block.window * n : p + (block.window + 1) * n] = block.derivatives[:, p:]
         return np.concatenate([block.errors for block in found]), J, np.concatenate([block.x for block in found])
 
     return joined

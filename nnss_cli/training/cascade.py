@@ -213,13 +213,15 @@ class Problem:
                 if not np.abs(x).max(initial=0) < TOO_LARGE:
                     errors = np.full_like(errors, np.inf)
                 flat = J.reshape(len(errors), -1)
-                yield Block(errors, flat[:, self.chosen], flat[:, -n:], window, x)
+                yield Block(errors, np.concatenate([flat[:, self.chosen], flat[:, -n:]], axis=1), window, x)
                 done += len(x)
 
     def evaluate(self, point: FloatArray) -> tuple[NormalEquations, FloatArray]:
         """Normal equations of a point, and the states (K, n) of all records."""
         blocks = self._blocks(point)
-        equations, states = NormalEquations.summed(ahead(blocks) if self.threads > 1 else blocks, len(self.y))
+        if self.threads > 1:
+            blocks = ahead(blocks)
+        equations, states = NormalEquations.summed(blocks, len(self.chosen), len(self.y))
         return equations, np.concatenate(states)
 
 

@@ -169,11 +169,10 @@ class ReferenceEngine:
             at = (*named.values(), torch.tensor(x0[window : window + 1], dtype=self.model.dtype))
             y_simulated, states = run(*at)
             parts = torch.autograd.functional.jacobian(lambda *values, run=run: run(*values)[0], at)
-            by_weights = torch.cat([part.flatten(3) for part in parts[:-1]], dim=3).flatten(0, 2)
-            errors, by_state = (y_simulated - y).ravel(), parts[-1].flatten(3).flatten(0, 2)
+            derivatives = torch.cat([part.flatten(3) for part in parts], dim=3).flatten(0, 2)
             own = states[0, :, : self.model.architecture.order]
-            e, J, S, x = (part.numpy().astype(np.float64) for part in (errors, by_weights, by_state, own))
-            yield Block(e, J, S, window, x)
+            e, J, x = (part.numpy().astype(np.float64) for part in ((y_simulated - y).ravel(), derivatives, own))
+            yield Block(e, J, window, x)
 
     @torch.no_grad()
     def free_run(self, u: FloatArray, y_init: FloatArray) -> FloatArray:

@@ -273,7 +273,7 @@ class FastEngine:
 
     def sensitivities(self, x0: FloatArray) -> Iterator[Block]:
         """Errors and their derivatives, in stretches of at most `STRETCH` samples; see `Engine`."""
-        weights, p = self.model_weights, self.model_weights.generator_size
+        weights = self.model_weights
         for window in range(len(self.windows)):
             u, y = self.windows.window(window)
             first = y[0]
@@ -281,8 +281,8 @@ class FastEngine:
                 u, y = u[1:], y[1:]
             at = 0
             for simulated, x, J in weights.sensitivities(x0[window], u, first):
-                errors, J = simulated - y[at : at + len(x)], J.reshape(-1, J.shape[2])
-                yield Block(errors.reshape(-1), J[:, :p], J[:, p:], window, x)
+                errors = simulated - y[at : at + len(x)]
+                yield Block(errors.reshape(-1), J.reshape(errors.size, -1), window, x)
                 at += len(x)
 
     def train_batch(self, windows: NDArray[np.int64], epoch: int) -> float:

@@ -76,7 +76,7 @@ def gauss_newton(
         blocks = engine.sensitivities(point[p:].reshape(x0.shape))
         if threads > 1:
             blocks = ahead(blocks)
-        equations, states = NormalEquations.summed(blocks, len(y), every)
+        equations, states = NormalEquations.summed(blocks, p, len(y), every)
         return equations, np.concatenate(states)
 
     def accepted(_: FloatArray, loss: float, x: FloatArray) -> bool:

@@ -34,10 +34,8 @@ class Block:
 
     errors: FloatArray
     """ŷ − y (q,), sample after sample."""
-    by_weights: FloatArray
-    """Derivatives by the p weights (q, p)."""
-    by_state: FloatArray
-    """Derivatives by x(0) of the window (q, n)."""
+    derivatives: FloatArray
+    """By the p weights, then by x(0) of the window (q, p + n)."""
     window: int
     """Number of the window."""
     x: FloatArray
@@ -73,19 +71,20 @@ class NormalEquations:
             return cls(gram, J.T @ errors, float(errors @ errors), len(errors))
 
     @classmethod
-    def summed(cls, blocks: Iterable[Block], windows: int, every: int = 1) -> tuple[NormalEquations, list[FloatArray]]:
-        """Of all blocks, by the weights and then x(0) of each of the windows; and the states (k, n) of each block.
+    def summed(
+        cls, blocks: Iterable[Block], p: int, windows: int, every: int = 1
+    ) -> tuple[NormalEquations, list[FloatArray]]:
+        """Of all blocks, by the p weights and then x(0) of each of the windows; and the states (k, n) of each block.
 
         JᵀJ takes every k-th sample of a block.
         """
         gram, slope, squares, count = np.zeros((0, 0)), np.zeros(0), 0.0, 0
         states: list[FloatArray] = []
         for block in blocks:  # where one is not finite, so is the sum
-            (_, p), n = block.by_weights.shape, block.by_state.shape[1]
+            n = block.derivatives.shape[1] - p
             if not states:
                 gram, slope = np.zeros((p + windows * n,) * 2), np.zeros(p + windows * n)
-            J = np.concatenate([block.by_weights, block.by_state], axis=1).astype(np.float64)
-            errors = block.errors.astype(np.float64)
+            errors, J = (part.astype(np.float64, copy=False) for part in (block.errors, block.derivatives))
             own = slice(p + block.window * n, p + (block.window + 1) * n)
             part = cls.of(errors, J, len(errors) // len(block.x), every)
             gram[:p, :p] += part.gram[:p, :p]

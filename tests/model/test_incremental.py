@@ -253,7 +253,7 @@ def test_compiled_simulations_and_sensitivities_are_those_of_torch(
 
 @pytest.fixture
 def whole_of(whole: Any) -> Any:
-    return lambda engine, x0: whole(engine.sensitivities(x0), len(x0))
+    return lambda engine, x0: whole(engine.sensitivities(x0), x0)
 
 
 def distances(model: NNSS, u: np.ndarray, x: np.ndarray, others: np.ndarray) -> np.ndarray:

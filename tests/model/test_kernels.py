@@ -221,7 +221,7 @@ from nnss_cli.training.recipe import Recipe
 a = Architecture(3, 1, 1, (8,), (8,), stability=sys.argv[1], dtype=sys.argv[2])
 engine = FastEngine(make(a), *windows(a, 5, 90), Recipe(dtype=a.dtype))
 blocks = list(engine.sensitivities(np.zeros((5, 3)))) if a.dtype == "float64" else []
-for found in (*(block.by_weights for block in blocks), engine.free_run(np.ones((90, 1)), np.ones(1))):
+for found in (*(block.derivatives for block in blocks), engine.free_run(np.ones((90, 1)), np.ones(1))):
     print(hashlib.sha256(found.tobytes()).hexdigest())
 for epoch in (1, 2):
     print(engine.train_batch(np.arange(5), epoch))

@@ -61,7 +61,7 @@ def test_derivatives_agree_with_automatic_ones(
     u, y = signals(a, N, L)
     x0 = np.random.default_rng(2).standard_normal((N, n))
     fast, reference = (
-        whole(engine(model, u, y, Recipe()).sensitivities(x0), N) for engine in (FastEngine, ReferenceEngine)
+        whole(engine(model, u, y, Recipe()).sensitivities(x0), x0) for engine in (FastEngine, ReferenceEngine)
     )
     for ours, theirs in zip(fast, reference, strict=True):
         assert ours.shape == theirs.shape
@@ -156,13 +156,11 @@ def test_normal_equations_are_those_of_the_blocks_together(every: int, whole: Ca
     p, n, m = 5, 2, 2
     lengths = ((0, 7), (0, 4), (1, 9))
     blocks = [
-        Block(
-            *(random.standard_normal(shape) for shape in ((k * m,), (k * m, p), (k * m, n))), window, np.zeros((k, n))
-        )
+        Block(*(random.standard_normal(shape) for shape in ((k * m,), (k * m, p + n))), window, np.zeros((k, n)))
         for window, k in lengths
     ]
-    errors, J, _ = whole(blocks, 2)
-    found, states = NormalEquations.summed(blocks, 2, every)
+    errors, J, _ = whole(blocks, np.zeros((2, n)))
+    found, states = NormalEquations.summed(blocks, p, 2, every)
     assert [len(x) for x in states] == [7, 4, 9]
     assert (found.squares, found.count) == (pytest.approx(errors @ errors), len(errors))
     np.testing.assert_allclose(found.slope, J.T @ errors, atol=1e-12)
@@ -189,9 +187,9 @@ def test_a_long_record_is_trained_with_the_curvature_of_some_samples(
     taken, errors = set(), []
     plain = NormalEquations.summed
 
-    def noting(blocks: object, windows: int, every: int) -> object:
+    def noting(blocks: object, p: int, windows: int, every: int) -> object:
         taken.add(every)
-        return plain(blocks, windows, every)
+        return plain(blocks, p, windows, every)
 
     def goes_on(error: float) -> bool:
         errors.append(error)

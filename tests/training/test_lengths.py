@@ -78,7 +78,7 @@ def test_derivatives_agree_window_after_window(scheduling: str, whole: Callable)
     x0 = np.random.default_rng(2).standard_normal((len(LENGTHS), a.order))
     model = make(a)
     fast, plain = (
-        whole(engine(model, u, y, Recipe()).sensitivities(x0), len(u)) for engine in (FastEngine, ReferenceEngine)
+        whole(engine(model, u, y, Recipe()).sensitivities(x0), x0) for engine in (FastEngine, ReferenceEngine)
     )
     for ours, theirs in zip(fast, plain, strict=True):
         assert ours.shape == theirs.shape
@@ -86,7 +86,7 @@ def test_derivatives_agree_window_after_window(scheduling: str, whole: Callable)
     row = state = 0
     p = fast[1].shape[1] - x0.size
     for i, L in enumerate(LENGTHS):  # each window is what it is alone
-        e, J, x = whole(FastEngine(model, [u[i]], [y[i]], Recipe()).sensitivities(x0[i : i + 1]), 1)
+        e, J, x = whole(FastEngine(model, [u[i]], [y[i]], Recipe()).sensitivities(x0[i : i + 1]), x0[i : i + 1])
         rows = slice(row, row + len(e))
         np.testing.assert_array_equal(fast[0][rows], e)
         np.testing.assert_array_equal(fast[2][state : state + len(x)], x)
@@ -112,7 +112,7 @@ def test_the_jacobian_of_whole_records_has_a_row_for_each_sample(small_data: Cal
     model = make(recipe.architecture(2, 1, 1))
     u, y = sliding_windows(data.normalised()[0], recipe.window, recipe.stride)
     engine = FastEngine(model, u, y, recipe)
-    _, J, _ = whole(engine.sensitivities(np.zeros((2, 2))), 2)
+    _, J, _ = whole(engine.sensitivities(np.zeros((2, 2))), np.zeros((2, 2)))
     assert J.shape == (700, engine.model_weights.generator_size + 2 * 2)
 
 
