@@ -8,15 +8,17 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import math
+import os
 import re
-import sys
 import textwrap
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from nnss_cli.datasets.preparation import TREND_KINDS, parse_split
 from nnss_cli.datasets.textfile import printable, shown
@@ -34,7 +36,7 @@ def _text(value: object) -> str:
     if not isinstance(value, str):
         raise TypeError("text")
     value.encode()  # a lone surrogate cannot be written to a file
-    return value
+    return str(value)  # NumPy's own kind is written otherwise
 
 
 def _line(value: object) -> str:
@@ -49,23 +51,31 @@ def _name(value: object) -> str:
     return _text(value)
 
 
+def _file(value: object) -> str:
+    return _text(os.fspath(value) if isinstance(value, os.PathLike) else value)
+
+
 def _whole(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value < 2**31:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not 1 <= value < 2**31:
         raise TypeError("a whole number from 1 on")
-    return value
+    return int(value)
 
 
 def _seconds(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= sys.float_info.max:
+    try:
+        seconds = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    except OverflowError:  # a whole number beyond all doubles
+        seconds = math.inf
+    if not 0 < seconds < math.inf:
         raise TypeError("a positive number of seconds")
-    return float(value)
+    return seconds
 
 
 def _column(value: object) -> Column:
     if isinstance(value, str) and value:
         return _text(value)
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
-        return value
+    if isinstance(value, Integral) and not isinstance(value, bool) and value >= 1:
+        return int(value)
     raise TypeError("a name, or a number from 1")
 
 
@@ -95,7 +105,8 @@ def _all(check: Callable[[object], Any], least: int = 0) -> Callable[[object], t
     """A list of `least` or more different values; a single one stands for a list of one."""
 
     def checked(value: object) -> tuple[Any, ...]:
-        values = tuple(value) if isinstance(value, list | tuple) else (value,)
+        several = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
+        values = tuple(cast(Iterable[object], value)) if several else (value,)
         if len(values) < least:
             raise TypeError("a list of at least one value")
         return tuple(check(one) for one in values)
@@ -114,7 +125,7 @@ def _different(check: Callable[[object], tuple[Any, ...]]) -> Callable[[object],
     return checked
 
 
-_files = _different(_all(_text))
+_files = _different(_all(_file))
 
 
 def _test_sets(value: object) -> dict[str, tuple[str, ...]]:
@@ -145,7 +156,7 @@ class Description:
     """Name of the record, under which results are kept. Default: the description's file name."""
     title: str = _option(_line, "")
     """One line for the heads of tables and figures."""
-    files: tuple[str, ...] = _option(_different(_all(_text, 1)))
+    files: tuple[str, ...] = _option(_different(_all(_file, 1)))
     """Files with the training experiments, one experiment each; paths start at the description's folder."""
     val: tuple[str, ...] = _option(_files, ())
     """Files with the validation experiments. Without them, a part of each training file validates (split)."""
@@ -195,14 +206,8 @@ class Description:
     """Where paths start: the description's folder; no key of the file."""
 
     def __post_init__(self) -> None:
-        for option in fields(self):
-            value = getattr(self, option.name)
-            if "check" in option.metadata and not (value is None and option.metadata["optional"]):
-                try:
-                    object.__setattr__(self, option.name, option.metadata["check"](value))
-                except (TypeError, UnicodeEncodeError) as error:
-                    expected = "text in Unicode" if isinstance(error, UnicodeEncodeError) else str(error)
-                    raise InputError(f"{option.name}: expected {expected}, found {shown(value)}") from error
+        for name, value in check_fields(vars(self)).items():
+            object.__setattr__(self, name, value)
         self._check_together()
 
     def _check_together(self) -> None:
@@ -210,12 +215,7 @@ class Description:
             columns, units = getattr(self, f"{kind}s"), getattr(self, f"{kind}_units")
             if units and len(units) != len(columns):
                 raise InputError(f"{kind}_units: expected one for each of {len(columns)} {kind}s, found {len(units)}")
-        signals = self.inputs + self.outputs
-        for column in signals:
-            if signals.count(column) > 1 or column == self.time:
-                raise InputError(
-                    f"column {column!r}: expected to be an input, an output or the time, found more than one"
-                )
+        check_roles(self.inputs, self.outputs, self.time)
         if self.time is None and self.Ts is None:
             raise InputError("Ts: expected the sampling time in seconds, or a time column (time), found neither")
         if self.time is not None and self.Ts is not None and self.resample is not None:
@@ -260,6 +260,36 @@ class Description:
                 f"file {shown(file)} lies outside the description's folder: move it there, or set allow_outside = true"
             )
         return path
+
+
+def check_fields(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a description, each checked by itself; others are passed on as they are.
+
+    Raises:
+        InputError: one is of another type or out of range.
+    """
+    found = dict(given)
+    for option in fields(Description):
+        value = given.get(option.name)
+        if option.name in given and "check" in option.metadata and not (value is None and option.metadata["optional"]):
+            try:
+                found[option.name] = option.metadata["check"](value)
+            except (TypeError, UnicodeEncodeError) as error:
+                expected = "text in Unicode" if isinstance(error, UnicodeEncodeError) else str(error)
+                raise InputError(f"{option.name}: expected {expected}, found {shown(value)}") from error
+    return found
+
+
+def check_roles(inputs: Sequence[Column], outputs: Sequence[Column], time: Column | None) -> None:
+    """Refuse a column that stands for more than one thing.
+
+    Raises:
+        InputError: it does.
+    """
+    signals = (*inputs, *outputs)
+    for column in signals:
+        if signals.count(column) > 1 or column == time:
+            raise InputError(f"column {column!r}: expected to be an input, an output or the time, found more than one")
 
 
 @cache

@@ -299,6 +299,8 @@ def _names(files: str | Path | Sequence[str | Path]) -> list[str]:
     names: list[Any] = [files]
     if isinstance(files, Iterable) and not isinstance(files, str | pd.DataFrame | np.ndarray):
         names = [*files]
+    if not names:
+        raise InputError("data: expected a benchmark's name or files, found none")
     if not all(isinstance(name, str | Path) for name in names):
         raise InputError(
             f"data: expected a benchmark's name or files, found {type(files).__name__}: write it to a file first, or "

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nnss_cli.datasets.description import Description, write_description
+from nnss_cli.datasets.description import Description, check_fields, check_roles, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
 from nnss_cli.datasets.formats import (
     clock_change,
@@ -106,6 +106,7 @@ def examine_files(names: Sequence[str], own: Mapping[str, Any]) -> Seen:
     Raises:
         InputError: a file cannot be read, has no such column or cannot be prepared as asked; a field is wrong.
     """
+    own = check_fields(own)
     plan: Description | None = None
     if any(name.lower().endswith(".toml") for name in names):
         if len(names) > 1:
@@ -215,14 +216,18 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
     dates = [name for name in columns if holds_dates(table, name)]
     taken = {*given["inputs"], *given["outputs"]}
     time = None if fields.get("time") is None else find_column(table, fields["time"])
-    if time is None and fields.get("Ts") is None:
-        time = guess_time([name for name in columns if name not in taken], dates)
-        if time is not None:
-            guesses.append(f"Column '{time}' is taken for the time: --time or --ts says otherwise.")
-            guessed.append("time")
+    check_roles(given["inputs"], given["outputs"], time)
+    clock = guess_time([name for name in columns if name not in taken], dates) if time is None else None
+    if clock is not None and fields.get("Ts") is None:
+        time = clock
+        guesses.append(f"Column '{time}' is taken for the time: --time or --ts says otherwise.")
+        guessed.append("time")
     if time is not None and (unit := time_note(table, time)):
         guesses.append(f"{unit[0].upper()}{unit[1:]}.")
     others = [name for name in columns if name not in taken and name != time]
+    if clock in others and clock not in dates:  # no signal, though the sampling time is given
+        others.remove(clock)
+        guesses.append(f"Left out, since it reads as a time: {clock}: --inputs or --outputs says otherwise.")
     if stamps := [name for name in others if name in dates]:
         guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
     words = [name for name in others if name not in dates and not is_numeric(table[name])]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nnss_cli.datasets.catalog import BENCHMARKS, benchmark, load
-from nnss_cli.datasets.description import Description, read_description
+from nnss_cli.datasets.description import Description, check_fields, read_description
 from nnss_cli.datasets.download import fetch, is_cached
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
@@ -123,9 +123,18 @@ def described_with(path: Path, own: Mapping[str, Any]) -> Description:
     Raises:
         InputError: no such file, or a wrong field.
     """
-    files = {key: tuple(str(Path(file).resolve()) for file in own[key]) for key in ("val", "test") if key in own}
-    outside = {"allow_outside": True} if files else {}
-    return replace(read_description(path), **{**own, **files, **outside, "folder": path.parent})
+    own = check_fields(own)
+    if "val" in own:
+        own["val"] = _resolved(own["val"])
+    if "test" in own:
+        own["test"] = {name: _resolved(files) for name, files in own["test"].items()}
+    if {"val", "test"} & set(own):
+        own["allow_outside"] = True
+    return replace(read_description(path), **own, folder=path.parent)
+
+
+def _resolved(files: Sequence[str]) -> tuple[str, ...]:
+    return tuple(str(Path(file).resolve()) for file in files)
 
 
 def record_name(file: str | Path) -> str:

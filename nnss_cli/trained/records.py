@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nnss_cli.datasets.formats import (
+    clock_change,
     guess_time,
     holds_dates,
     holds_numbers,
@@ -179,9 +180,14 @@ def _columns(
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
     elif Ts is None and (rising := _rising_time(table, names)) is not None:
         clock, t = rising
-        over = f"{at_its_own}, or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
-        found = uniform_Ts(t, lambda k: f"{place(table, k)}, column '{clock}'", over)
-        check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", over)
+        try:
+            if change := clock_change(table, clock, t):
+                raise InputError(change)
+            found = uniform_Ts(t, lambda k: f"{place(table, k)}, column '{clock}'", at_its_own)
+            check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", at_its_own)
+        except InputError as error:
+            over = f"or pass over the column (--ts {model.Ts:.9g}) where it is no time of these samples"
+            raise InputError(f"{error}, {over}") from error
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
     return values, table, t if clock is not None and holds_numbers(table[clock]) else None
@@ -198,13 +204,13 @@ def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, who
 
 
 def _rising_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray] | None:
-    """The column that reads as a time and its instants; None where there is none that rises from sample to sample."""
+    """The column that reads as a time and its instants; None where there is none that rises at most of its steps."""
     others = [str(name) for name in table.columns if name not in channels]
     name = guess_time(others, [other for other in others if holds_dates(table, other)])
     if name is not None:
         with suppress(InputError):  # nothing was said of this column: it may be anything
             t = times(table, name)
-            return (name, t) if len(t) > 1 and bool((np.diff(t) > 0).all()) else None
+            return (name, t) if len(t) > 1 and np.mean(np.diff(t) > 0) > 0.5 else None
     return None
 
 

@@ -193,6 +193,22 @@ def described(folder: Path, **keys: object) -> Description:
     return Description(**given | keys, folder=folder)  # type: ignore[arg-type]
 
 
+def test_values_of_numpy_pandas_and_pathlib_are_those_of_python() -> None:
+    plain = {"name": "p", "inputs": ["u", "v"], "outputs": [3], "files": ["p.csv"], "Ts": 0.5, "init_window": 5}
+    given = {
+        "name": np.str_("p"), "inputs": pd.Index(["u", "v"]), "outputs": np.array([3]), "files": Path("p.csv"),
+        "Ts": np.float32(0.5), "init_window": np.int64(5),
+    }  # fmt: skip
+    found = Description(**given)
+    assert found == Description(**plain)
+    assert all(type(value) is str for value in (found.name, *found.inputs, *found.files))
+    assert [type(value) for value in (found.outputs[0], found.Ts, found.init_window)] == [int, float, int]
+    assert Description(**given | {"orders": np.arange(1, 3), "Ts": np.int64(2)}).orders == (1, 2)
+    for wrong in (np.bool_(True), np.float64("nan"), np.datetime64("now")):
+        with pytest.raises(InputError, match="Ts: expected a positive number of seconds"):
+            Description(**given | {"Ts": wrong})
+
+
 def test_without_a_time_column_samples_are_evenly_apart(tmp_path: Path) -> None:
     """A gap in a straight line is filled on the line, and nothing is left of it without its trend."""
     frame = signals()

@@ -49,6 +49,57 @@ def test_roles_are_guessed_by_name_and_else_the_last_column_is_the_output(
     )
 
 
+def test_a_time_is_no_input_where_the_sampling_time_is_given() -> None:
+    """As it is where stamps are only rounded: a ramp was taken for an input, and written into the description."""
+    found = assign_roles(table("t", "valve", "level"), {"Ts": 1 / 60})
+    assert (found.inputs, found.outputs, found.time) == (("valve",), ("level",), None)
+    assert "Left out, since it reads as a time: t: --inputs or --outputs says otherwise." in found.guesses
+    assert roles(table("t", "valve", "level"), inputs=("t",)) == (("t",), ("valve", "level"), None)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"outputs": "u"}, "column 'u': expected to be an input, an output or the time, found more than one"),
+        ({"outputs": 1}, "column 'u': expected to be an input"),
+        ({"time": "u"}, "column 'u': expected to be an input"),
+        ({"inputs": ["u", "u"]}, "inputs: expected each value once"),
+        ({"Ts": True}, "Ts: expected a positive number of seconds, found True"),
+        ({"Ts": "0.1"}, "Ts: expected a positive number of seconds, found '0.1'"),
+        ({"time": ["u"]}, "time: expected a name, or a number from 1"),
+        ({"name": "../../evil"}, "name: expected letters, digits"),
+    ],
+)
+def test_an_inspection_refuses_what_training_does(given: dict[str, Any], told: str, tmp_path: Path) -> None:
+    file = tmp_path / "p.csv"
+    table("u", "pump", "y").to_csv(file, index=False)
+    with pytest.raises(InputError, match=re.escape(told)):
+        examine_files([str(file)], {"inputs": "u", "outputs": "y", "Ts": 0.1} | given)
+
+
+def test_a_list_of_one_stands_without_brackets(tmp_path: Path) -> None:
+    """A word was taken letter by letter."""
+    u = np.sin(np.arange(90.0) ** 1.5)
+    pd.DataFrame({"pump": u, "y": np.roll(u, 1)}).to_csv(tmp_path / "p.csv", index=False)
+    (tmp_path / "p.toml").write_text('files = ["p.csv"]\ninputs = ["pump"]\noutputs = ["y"]\nTs = 0.1\n')
+    (tmp_path / "v.csv").write_text((tmp_path / "p.csv").read_text())
+    names, given = [str(tmp_path / "p.csv")], {"inputs": "pump", "outputs": 2, "output_units": "mm", "Ts": 0.1}
+    bare, listed = (
+        examine_files(names, each)
+        for each in (given, {"inputs": ["pump"], "outputs": ["y"], "output_units": ["mm"], "Ts": 0.1})
+    )
+    assert (bare.roles, bare.found) == (listed.roles, listed.found)
+    held = [
+        examine_files([str(tmp_path / "p.toml")], {"test": files}).found.split for files in _ways(tmp_path / "v.csv")
+    ]
+    assert held[0].test == (Part(1, 0, 90),)
+    assert all(split == held[0] for split in held)
+
+
+def _ways(file: Path) -> tuple[Any, ...]:
+    return file, str(file), [file], (str(file),), {"test": [str(file)]}
+
+
 def test_what_is_given_is_not_guessed() -> None:
     frame = table("u", "a", "y")
     found = assign_roles(frame, {"Ts": 1.0, "inputs": ("y",), "outputs": ("a",)})

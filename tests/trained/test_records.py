@@ -123,12 +123,30 @@ def test_a_time_that_nobody_named_is_checked(clock: str, model: TrainedModel, tm
         read(model, written(0.4), Ts=0.5)
 
 
+def test_a_time_that_rises_at_most_steps_alone_is_refused(model: TrainedModel, tmp_path: Path) -> None:
+    """Two records end to end, a missing stamp, a clock set back: `train` refuses them, and they were passed over."""
+    stamps = pd.Timestamp("2024-10-27 02:56") + pd.to_timedelta(np.arange(16) / 2 * 60, unit="s")
+    back = stamps - pd.to_timedelta(np.where(np.arange(16) < 8, 0, 3600), unit="s")
+    for clock, why in (
+        (0.5 * np.r_[np.arange(10), np.arange(6)], "row 12, column 't': time goes from 4.5 to 0:"),
+        (0.4 * nan_at_three(np.arange(16)), "row 5, column 't': the time is missing"),
+        (0.5 * nan_at_three(np.arange(16)), "row 5, column 't': the time is missing"),
+        (back, "time goes from 2024-10-27T02:59:30 to 2024-10-27T02:00:00 amid steps of 30 s"),
+    ):
+        pd.concat([table()] * 2).assign(t=clock).to_csv(tmp_path / "new.csv", index=False)
+        with pytest.raises(InputError) as error:
+            read_record(model, tmp_path / "new.csv")
+        assert why in str(error.value)
+        assert str(error.value).endswith("pass over the column (--ts 0.5) where it is no time of these samples")
+        assert len(read_record(model, tmp_path / "new.csv", Ts=0.5)) == 16
+
+
 def test_what_is_no_rising_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
     new = tmp_path / "new.csv"
     for column in (
         5.0 - np.arange(8),
         ["on"] * 8,
-        nan_at_three(np.arange(8)),
+        [0, 1, 0, 1, 0, 1, 0, 0],
         1e12 + np.arange(8),
     ):
         table(t=column).to_csv(new, index=False)
