@@ -36,9 +36,9 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     """The file as a table, one row a sample; the index is the row as counted in the file.
 
     Columns of numbers are float64 (whole numbers beyond 2⁵³ and decimals are rounded to the nearest double, false
-    and true are 0 and 1, missing cells NaN), dates are datetime64, all else stays as it is, for `numbers` to refuse by
-    row and column when it is used. `attrs["source"]` is the file's name, `attrs["left out"]` tells why parts of
-    a file that are no columns are none.
+    and true are 0 and 1, missing cells NaN), dates are datetime64, elapsed times timedelta64, all else stays as it is,
+    for `numbers` to refuse by row and column when it is used. `attrs["source"]` is the file's name,
+    `attrs["left out"]` tells why parts of a file that are no columns are none.
 
     Args:
         path: A regular file; its suffix tells the format.
@@ -122,8 +122,9 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
                 f"{place(table, k)}, column '{name}': expected a number, found {shown(values[k])}{_hint(column, k)}"
             )
         array = values.astype(np.float64)
-    elif column.dtype.kind == "M":
-        raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the date {column.iloc[0]}")
+    elif column.dtype.kind in "mM":
+        found = "date" if column.dtype.kind == "M" else "elapsed time"
+        raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the {found} {column.iloc[0]}")
     else:
         array = column.to_numpy(np.float64)
     infinite = np.isinf(array)
@@ -134,7 +135,9 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
 
 
 def times(table: pd.DataFrame, name: str) -> FloatArray:
-    """A time column in seconds: numbers in the unit that its name states, dates and ISO 8601 text since the first.
+    """A time column in seconds: numbers in the unit that its name states, elapsed times; dates since the first.
+
+    Dates may be ISO 8601 text.
 
     Raises:
         InputError: a cell is neither, and the message names row and column; or the numbers are no seconds, and are
@@ -143,6 +146,8 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
     column = table[name]
     if holds_numbers(column):
         return _in_seconds(table, name)
+    if column.dtype.kind == "m":
+        return np.asarray(column.dt.total_seconds(), dtype=np.float64)
     if column.dtype.kind == "O":
         # Cell by cell, so that "2024-01-01" and 17 in one column are told apart.
         as_text = [value if isinstance(value, str) else getattr(value, "isoformat", lambda: None)() for value in column]
@@ -173,7 +178,7 @@ def clock_change(table: pd.DataFrame, name: str, t: FloatArray) -> str:
         t: its `times`.
     """
     column, steps = table[name], np.diff(t)
-    if holds_numbers(column) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
+    if tells_seconds(column) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
         return ""
     even = np.abs(steps - usual) <= SAME * usual
     amid = np.concatenate([[True], even[:-1]]) & np.concatenate([even[1:], [True]])
@@ -243,10 +248,10 @@ def is_numeric(column: pd.Series) -> bool:
 
 
 def holds_dates(table: pd.DataFrame, name: str) -> bool:
-    """Whether a column holds dates, as a `time` column may."""
+    """Whether a column holds dates or elapsed times, as a `time` column may."""
     column = table[name]
     if column.dtype.kind != "O" or is_numeric(column) or not column.notna().any():
-        return column.dtype.kind == "M"
+        return column.dtype.kind in "mM"
     try:
         times(table, name)
     except InputError:
@@ -258,7 +263,12 @@ def holds_numbers(column: pd.Series) -> bool:
     """Whether each cell of a column is a number or empty."""
     if column.dtype.kind == "O":
         return all(isinstance(_number(value), float) for value in column)
-    return column.dtype.kind != "M"
+    return column.dtype.kind not in "mM"
+
+
+def tells_seconds(column: pd.Series) -> bool:
+    """Whether a time column counts from a start of its own, by numbers or elapsed times; dates are of a calendar."""
+    return column.dtype.kind == "m" or holds_numbers(column)
 
 
 def place(table: pd.DataFrame, k: int) -> str:
@@ -400,6 +410,8 @@ def _read_parquet(path: Path) -> pd.DataFrame:
                 data[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             elif kinds.is_timestamp(column.type):
                 data[field.name] = column.cast(arrow.timestamp("ns")).to_numpy()
+            elif kinds.is_duration(column.type):
+                data[field.name] = column.cast(arrow.duration("ns")).to_numpy()
             else:
                 data[field.name] = np.array([*column.to_pylist(), None], dtype=object)[:-1]
         table = pd.DataFrame(data, index=pd.RangeIndex(1, file.metadata.num_rows + 1))

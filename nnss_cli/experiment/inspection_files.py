@@ -224,7 +224,9 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
         guesses.append(f"{unit[0].upper()}{unit[1:]}.")
     others = [name for name in columns if name not in taken and name != time]
     if stamps := [name for name in others if name in dates]:
-        guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
+        guesses.append(
+            f"Left out, since they hold dates or elapsed times: {', '.join(stamps)}: --time takes one for the time."
+        )
     words = [name for name in others if name not in dates and not is_numeric(table[name])]
     reasons = {name: why for name in words if (why := misread(table[name]))}
     guesses += [f"Left out: column '{name}' {why}." for name, why in reasons.items()]

@@ -13,12 +13,12 @@ import numpy as np
 from nnss_cli.datasets.formats import (
     guess_time,
     holds_dates,
-    holds_numbers,
     numbers,
     other_sheets,
     place,
     read_table,
     steady_times,
+    tells_seconds,
     times,
 )
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
@@ -41,7 +41,7 @@ class Start:
     y: FloatArray | None
     """Outputs (K, m) to be compared with, NaN where a sample is missing; None where all beyond the window are."""
     t: FloatArray | None = None
-    """Instants (K,) [s], where a time column of numbers was read."""
+    """Instants (K,) [s], where a time column of numbers or elapsed times was read."""
 
 
 def read_record(
@@ -77,7 +77,7 @@ def read_timed(
     Ts: float | None = None,
     sheet: str | int | None = None,
 ) -> tuple[Record, FloatArray | None]:
-    """As `read_record`, and the instants (K,) [s] where a time column of numbers was read.
+    """As `read_record`, and the instants (K,) [s] where a time column of numbers or elapsed times was read.
 
     Args:
         model: as for `read_record`.
@@ -145,7 +145,7 @@ def _columns(
     sheet: str | int | None,
     without_outputs: str = "",
 ) -> tuple[FloatArray, Any, FloatArray | None]:
-    """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if numbers.
+    """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if no dates.
 
     `without_outputs` ends the message where outputs alone are missing.
     """
@@ -184,7 +184,7 @@ def _columns(
         check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", over)
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
-    return values, table, t if clock is not None and holds_numbers(table[clock]) else None
+    return values, table, t if clock is not None and tells_seconds(table[clock]) else None
 
 
 def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, whole: bool) -> Any:

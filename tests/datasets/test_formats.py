@@ -250,6 +250,35 @@ def test_times_are_seconds_whichever_way_they_are_written(tmp_path: Path) -> Non
         times(read_table(wrong), "t")
 
 
+def test_elapsed_times_are_seconds_as_a_time_and_no_signal(tmp_path: Path) -> None:
+    seconds = 90_000 + 0.5 * np.arange(5)
+    for unit in ("s", "ms", "us", "ns"):
+        run = pd.Series(pd.to_timedelta(seconds, unit="s")).astype(f"timedelta64[{unit}]")
+        run[2] = pd.NaT
+        expected = np.where(np.arange(5) == 2, np.nan, np.floor(seconds) if unit == "s" else seconds)
+        frame = Frame({"run [ms]": run, "y": np.arange(5.0)})
+        frame.to_parquet(tmp_path / "a.parquet")
+        np.savez(tmp_path / "a.npz", **{"run [ms]": run.to_numpy(), "y": frame.y})
+        book = openpyxl.Workbook()
+        for row in [list(frame.columns), *[[None if pd.isna(t) else t.to_pytimedelta(), 1] for t in run]]:
+            book.active.append(row)  # openpyxl gives them the format [h]:mm:ss
+        book.save(tmp_path / "a.xlsx")
+        for file in ("a.parquet", "a.npz", "a.xlsx"):
+            table = read_table(tmp_path / file)
+            np.testing.assert_allclose(times(table, "run [ms]"), expected, atol=1e-9, err_msg=f"{file} {unit}")
+            assert clock_change(table, "run [ms]", times(table, "run [ms]")) == time_note(table, "run [ms]") == ""
+            with pytest.raises(InputError, match="column 'run .ms.': expected a number, found the elapsed time 1 days"):
+                numbers(table, "run [ms]")
+
+
+def test_elapsed_times_in_no_fixed_unit_are_no_column(tmp_path: Path) -> None:
+    arrays = {unit: np.arange(3).astype(f"m8[{unit}]") for unit in ("Y", "M", "ps", "generic", "m")}
+    np.savez(tmp_path / "a.npz", y=np.arange(3.0), **arrays)
+    assert list(read_table(tmp_path / "a.npz").columns) == ["y", "m"]
+    with pytest.raises(InputError, match="'M' cannot be a column: type timedelta64.M., not real numbers"):
+        read_table(tmp_path / "a.npz", ["M"])
+
+
 def test_a_time_is_read_in_the_unit_that_its_name_states(tmp_path: Path) -> None:
     for name, seconds in {"t": 1, "t [s]": 1, "time_ms": 1e-3, "t (µs)": 1e-6, "Time [min]": 60, "t [h]": 3600}.items():
         table = read_table(write(tmp_path / "a.csv", f"{name},y\n0,1\n20,2\n40,\n"))

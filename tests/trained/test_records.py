@@ -123,6 +123,15 @@ def test_a_time_that_nobody_named_is_checked(clock: str, model: TrainedModel, tm
         read(model, written(0.4), Ts=0.5)
 
 
+def test_elapsed_times_are_the_time_of_the_file(model: TrainedModel, tmp_path: Path) -> None:
+    clock = pd.to_timedelta(0.5 * np.arange(8) + 3, unit="s")
+    table().rename(columns={"t": "index"}).assign(run=clock).to_parquet(tmp_path / "new.parquet")
+    for time in ("run", None):
+        t = read_start(model, tmp_path / "new.parquet", time=time).t
+        assert t is not None
+        np.testing.assert_allclose(t, 0.5 * np.arange(8) + 3)
+
+
 def test_what_is_no_rising_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
     new = tmp_path / "new.csv"
     for column in (
