@@ -56,7 +56,7 @@ def as_table(variables: Sequence[Variable], path: Path, wanted: Sequence[str | i
     """The columns of one length as a table, index 1 … K; `attrs["left out"]` tells of each other array why.
 
     The length is that of the `wanted` columns if they are given by name, else the longest that two columns
-    share, else the longest.
+    share, else the longest; scalars are columns where there is nothing else.
 
     Raises:
         InputError: no array of numbers, two columns of one name, wanted columns of different lengths, or
@@ -114,8 +114,9 @@ def _length(lengths: dict[str, int], wanted: Sequence[str | int], source: str) -
             )
     if asked:
         return lengths[asked[0]]
-    shared = [length for length, count in Counter(lengths.values()).items() if count > 1]
-    return max(shared or lengths.values())
+    signals = [length for length in lengths.values() if length > 1] or [1]  # scalars beside them are settings
+    shared = [length for length, count in Counter(signals).items() if count > 1]
+    return max(shared or signals)
 
 
 def npz_variables(path: Path) -> Iterator[Variable]:

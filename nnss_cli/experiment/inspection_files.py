@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nnss_cli.datasets.description import Description, write_description
+from nnss_cli.datasets.description import Description, record_name, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
 from nnss_cli.datasets.formats import (
     clock_change,
@@ -35,7 +35,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
 from nnss_cli.experiment.inspection_split import Part, Split
-from nnss_cli.experiment.source import describe, described_with, record_name
+from nnss_cli.experiment.source import describe, described_with
 
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
 _OUTPUT = re.compile(r"(y|out|output)([^a-z].*)?", re.IGNORECASE)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import re
-import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from nnss_cli.datasets.catalog import BENCHMARKS, benchmark, load
-from nnss_cli.datasets.description import Description, read_description
+from nnss_cli.datasets.description import Description, read_description, record_name
 from nnss_cli.datasets.download import fetch, is_cached
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-
-# letters that Unicode does not take apart into a base and a mark
-_WHOLE = str.maketrans(
-    {"ß": "ss", "Æ": "AE", "æ": "ae", "Ø": "O", "ø": "o", "Œ": "OE", "œ": "oe", "Ł": "L", "ł": "l", "Đ": "D", "đ": "d"}
-)
 
 
 @dataclass(frozen=True)
@@ -126,13 +119,6 @@ def described_with(path: Path, own: Mapping[str, Any]) -> Description:
     files = {key: tuple(str(Path(file).resolve()) for file in own[key]) for key in ("val", "test") if key in own}
     outside = {"allow_outside": True} if files else {}
     return replace(read_description(path), **{**own, **files, **outside, "folder": path.parent})
-
-
-def record_name(file: str | Path) -> str:
-    """The file's name without suffixes and accents, "-" for what a name of results may not have."""
-    stem = Path(Path(file).name.removesuffix(".gz")).stem
-    plain = "".join(c for c in unicodedata.normalize("NFKD", stem.translate(_WHOLE)) if not unicodedata.combining(c))
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip(".-_") or "record"
 
 
 def _looks_like_a_file(name: str) -> bool:

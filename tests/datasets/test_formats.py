@@ -435,6 +435,14 @@ def test_the_length_is_the_longest_that_two_columns_share(tmp_path: Path) -> Non
         read_table(tmp_path / "a.npz", ["u", "scratch"])
 
 
+def test_scalars_are_no_samples_beside_a_signal(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"y": np.arange(5.0), "Ts": 0.1, "gain": 2.0})
+    assert read_table(tmp_path / "a.mat")["y"].tolist() == [0, 1, 2, 3, 4]
+    assert read_table(tmp_path / "a.mat", ["Ts"])["Ts"].tolist() == [0.1]
+    savemat(tmp_path / "a.mat", {"Ts": 0.1, "gain": 2.0})
+    assert read_table(tmp_path / "a.mat").to_numpy().tolist() == [[0.1, 2]]
+
+
 def test_matlab_s_own_hdf5_is_read_by_columns_and_without_its_insides(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
