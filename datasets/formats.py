@@ -26,6 +26,7 @@ SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
 """All suffixes that are known."""
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _FOREIGN_DATE = re.compile(r"(?:\d{1,2}([./-])\d{1,2}\1(?:\d{4}|\d\d)|\d{4}[./]\d{1,2}[./]\d{1,2})\b.*")
+_MEANT_AS_NUMBER = re.compile(r"[\W_]*\d")  # "0x10" and "1_000", not "m3/h"
 SAME = 0.01
 """Part of the usual step to within which a jump counts as an hour's, and its neighbours as no jumps."""
 LATEST = 1e10
@@ -278,9 +279,10 @@ def place(table: pd.DataFrame, k: int) -> str:
 
 def _hint(column: pd.Series, k: int) -> str:
     """What can be done about the word in cell k of a column of numbers, where that is a known case."""
-    if _THOUSANDS.fullmatch(str(column.iloc[k]).strip()):
+    found = str(column.iloc[k]).strip()
+    if _THOUSANDS.fullmatch(found):
         return ": take the separators of thousands out, as in 1001.34"
-    if k == 0 and len(column) > 1 and holds_numbers(column.iloc[1:]):
+    if k == 0 and not _MEANT_AS_NUMBER.match(found) and len(column) > 1 and holds_numbers(column.iloc[1:]):
         return ": if this is a row of units, delete it and give --input-units and --output-units"
     return ""
 

@@ -225,6 +225,22 @@ def test_silverbox_s_trailing_delimiter_makes_no_column(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.to_numpy(), [[1, 2], [3, 4]])
 
 
+@pytest.mark.parametrize("text", ["u;y\n1,5;2;\n3;4; \n", "u,y\n1.5,2,\n# pump\n3,4,\n", "u\ty\n1.5\t2\t\n3\t4\t\n"])
+def test_rows_may_end_in_a_delimiter_that_the_header_lacks(text: str, tmp_path: Path) -> None:
+    """All of them: what stands behind it in one row is no column without a name, nor does it move the others."""
+    found = read_table(write(tmp_path / "a.txt", text))
+    assert list(found.columns) == ["u", "y"]
+    np.testing.assert_array_equal(found.to_numpy(), [[1.5, 2], [3, 4]])
+    mark = text[1]
+    at = text.count("\n") + 1
+    with pytest.raises(InputError, match=f"row {at}: expected 2 cells as in the header, found 3: name the last column"):
+        read_table(write(tmp_path / "a.txt", f"{text}5{mark}6{mark}7\n8{mark}9{mark}\n"))
+    with pytest.raises(InputError, match=f"row {at}: expected 3 cells as in the rows before, found 2$"):
+        read_table(write(tmp_path / "a.txt", f"{text}5{mark}6\n"))
+    with pytest.raises(InputError, match="row 3: expected 2 cells .* found 3: it ends in a delimiter, which is to be"):
+        read_table(write(tmp_path / "a.txt", f"u{mark}y\n1{mark}2\n3{mark}4{mark}\n"))
+
+
 def test_a_decimal_comma_may_come_late(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "u;y\n" + "1;2\n" * 200 + "1;2,5\n")
     assert numbers(read_table(path), "y")[-1] == 2.5
@@ -337,6 +353,13 @@ def test_what_spreadsheets_add_is_told_by_name(tmp_path: Path) -> None:
         numbers(units, "u")
     with pytest.raises(InputError, match=hint.format("t", "s")):
         times(units, "t")
+    flow = read_table(write(tmp_path / "a.csv", "t,u\ns,m3/h\n0,1\n"))
+    with pytest.raises(InputError, match=hint.format("u", "m3/h")):
+        numbers(flow, "u")
+    for wrong in ("0x10", "1_000", "−1", "(3)"):
+        mistyped = read_table(write(tmp_path / "a.csv", f"t,u\n0,{wrong}\n1,2\n"))
+        with pytest.raises(InputError, match=f"found '{re.escape(wrong)}'$"):
+            numbers(mistyped, "u")
     words = read_table(write(tmp_path / "a.csv", "u\nV\n0\nA\n"))
     with pytest.raises(InputError, match="found 'V'$"):
         numbers(words, "u")
