@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,9 @@ LATEST = 1e10
 """Seconds, three hundred years: a larger time in no stated unit is Unix time in ms, µs or ns, or ticks."""
 
 
-def read_table(path: Path, columns: Columns | None = None, sheet: str | int | None = None) -> pd.DataFrame:
+def read_table(
+    path: Path, columns: Columns | None = None, sheet: str | int | None = None, known: Collection[str] = ()
+) -> pd.DataFrame:
     """The file as a table, one row a sample; the index is the row as counted in the file.
 
     Columns of numbers are float64 (whole numbers beyond 2⁵³ and decimals are rounded to the nearest double, false
@@ -45,6 +47,7 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
         path: A regular file; its suffix tells the format.
         columns: Which columns, by name or by number from 1; all if None.
         sheet: Sheet of an Excel file, by name or by number from 1; the first if None.
+        known: Those of `columns` that were names before, as a model's channels, and cannot be numbers.
 
     Raises:
         InputError: no such file or column, an unknown suffix, or a file that cannot be read as what it says it is.
@@ -79,25 +82,31 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     table.attrs["source"] = path.name
     if table.empty:
         raise InputError(f"'{path.name}' holds no samples: expected a row for each")
-    return table if columns is None else table[[find_column(table, column) for column in columns]]
+    return table if columns is None else table[[find_column(table, column, known) for column in columns]]
 
 
-def find_column(table: pd.DataFrame, column: str | int) -> str:
+def find_column(table: pd.DataFrame, column: str | int, known: Collection[str] = ()) -> str:
     """The name of a column given by name or by number from 1 (digits that name no column are a number).
 
+    Args:
+        table: has it.
+        column: its name, or its number.
+        known: names that cannot be numbers.
+
     Raises:
-        InputError: there is none; the message gives the nearest name, or why the file's array is no column.
+        InputError: there is none, and the message gives the nearest name, or why the file's array is no column; or
+            the name of one is the number of another, as where columns are named 0, 1, 2.
     """
     names = [str(name) for name in table.columns]
     source = table.attrs.get("source", "table")
+    if column not in known:
+        _check_unambiguous(names, column, source)
     if isinstance(column, str) and column in names:
         return column
     left_out = table.attrs.get("left out", {})
     if column in left_out:
         raise InputError(f"'{source}': '{column}' cannot be a column: {left_out[column]}")
-    number = (
-        int(column) if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9) else None
-    )
+    number = _number_of_column(column)
     if number is None:
         near = nearest(str(column), names, 0.5)
         hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
@@ -105,6 +114,25 @@ def find_column(table: pd.DataFrame, column: str | int) -> str:
     if not 1 <= number <= len(names):
         raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1{other_sheets(table)}")
     return names[number - 1]
+
+
+def _check_unambiguous(names: Sequence[str], column: str | int, source: str) -> None:
+    """Refuse digits that are the name of one column and the number of another: a user may mean either."""
+    number = _number_of_column(column)
+    if number is None or str(column) not in names or not 1 <= number <= len(names):
+        return
+    named = names.index(str(column)) + 1
+    if named != number:
+        raise InputError(
+            f"'{source}': expected a column, found that {shown(column)} may be column {number}, named "
+            f"'{names[number - 1]}', or column {named}, named '{column}': rename the columns in words"
+        )
+
+
+def _number_of_column(column: str | int) -> int | None:
+    if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9):
+        return int(column)
+    return None
 
 
 def numbers(table: pd.DataFrame, name: str) -> FloatArray:

@@ -150,7 +150,7 @@ def _columns(
     `without_outputs` ends the message where outputs alone are missing.
     """
     try:
-        table = _table(path, [*names] if time is None else [*names, time], sheet, time is None and Ts is None)
+        table = _table(path, names, time, sheet, time is None and Ts is None)
     except InputError as error:
         if "has no column" not in str(error):
             raise
@@ -187,14 +187,15 @@ def _columns(
     return values, table, t if clock is not None and tells_seconds(table[clock]) else None
 
 
-def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, whole: bool) -> Any:
-    """The columns wanted; the whole table where that is asked for and holds them, as one of several records may not."""
+def _table(path: Path, channels: Sequence[str], time: str | int | None, sheet: str | int | None, whole: bool) -> Any:
+    """Columns of channels and time; the whole table where that is asked for and has them, as one of several may not."""
+    wanted = [*channels] if time is None else [*channels, time]
     if whole:
         with suppress(InputError):
             table = read_table(path, None, sheet)
             if set(wanted) <= set(table.columns):
                 return table
-    return read_table(path, wanted, sheet)
+    return read_table(path, wanted, sheet, known=channels)
 
 
 def _rising_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray] | None:

@@ -408,6 +408,23 @@ def test_columns_by_name_and_number(tmp_path: Path) -> None:
             read_table(path, [column])
 
 
+def test_digits_that_name_one_column_and_number_another_are_refused(tmp_path: Path) -> None:
+    """As pandas names columns from 0: the command line took 1 for the name, Python for the number."""
+    path = tmp_path / "a.parquet"
+    Frame(np.arange(6.0).reshape(2, 3)).to_parquet(path)
+    for column in (1, "1"):
+        with pytest.raises(InputError) as error:
+            read_table(path, [column])
+        assert str(error.value) == (
+            f"'a.parquet': expected a column, found that {column!r} may be column 1, named '0', or column 2, named "
+            "'1': rename the columns in words"
+        )
+    assert read_table(path, ["0", 3]).to_numpy().tolist() == [[0, 2], [3, 5]]
+    assert read_table(path, ["1", "2"], known=["1", "2"]).to_numpy().tolist() == [[1, 2], [4, 5]]
+    Frame(np.arange(2.0)[:, None], columns=["7"]).to_parquet(path)
+    assert read_table(path, ["7"])["7"].tolist() == read_table(path, [1])["7"].tolist() == [0, 1]
+
+
 @pytest.mark.parametrize("suffix", ["mat", "npz", "h5"])
 def test_arrays_are_columns_by_their_shape(suffix: str, tmp_path: Path) -> None:
     arrays = {
