@@ -29,6 +29,12 @@ _FOREIGN_DATE = re.compile(r"(?:\d{1,2}([./-])\d{1,2}\1(?:\d{4}|\d\d)|\d{4}[./]\
 _MEANT_AS_NUMBER = re.compile(r"[\W_]*\d")  # "0x10" and "1_000", not "m3/h"
 SAME = 0.01
 """Part of the usual step to within which a jump counts as an hour's, and its neighbours as no jumps."""
+JITTERS = 4.0
+"""As many median deviations of the steps from their median do so, too: 99 % of them where stamps scatter normally."""
+SMALL, WELL_BELOW = 0.5, 300.0
+"""Part of the usual step, and seconds of an hour, that these may be for steps to be regular."""
+ABOUT = 600.0
+"""Seconds to within which a time that runs back by night does so by an hour, however uneven its steps."""
 LATEST = 1e10
 """Seconds, three hundred years: a larger time in no stated unit is Unix time in ms, µs or ns, or ticks."""
 
@@ -198,40 +204,66 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
 def clock_change(table: pd.DataFrame, name: str, t: FloatArray) -> str:
     """Where a time column of local stamps jumps by an hour amid regular steps, as clocks do twice a year; else "".
 
-    Resampled or sorted, such a record would be wrong by that hour, so it is told apart from a gap. A jump ahead may be
-    one, and counts only at night, when clocks change.
+    Resampled or sorted, such a record would be wrong by that hour, so it is told apart from a gap. Steps are regular
+    within their usual jitter where that is small. A jump ahead may be a gap, and counts only at night, when clocks
+    change; a time that runs back by about an hour there counts amid any steps.
 
     Args:
         table: has the column.
         name: of it.
         t: its `times`.
     """
-    column, steps = table[name], np.diff(t)
-    if tells_seconds(column) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
+    steps = np.diff(t)
+    if tells_seconds(table[name]) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
         return ""
-    even = np.abs(steps - usual) <= SAME * usual
+    off = np.abs(steps - usual)
+    jitter = JITTERS * float(np.nanmedian(off))
+    near = max(SAME * usual, jitter if jitter <= min(SMALL * usual, WELL_BELOW) else 0.0)
+    even = off <= near
     amid = np.concatenate([[True], even[:-1]]) & np.concatenate([even[1:], [True]])
-    for k in map(int, np.flatnonzero(amid & (np.abs(np.abs(steps - usual) - 3600) <= SAME * usual))):
-        before, after = pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
-        if after.tzinfo is None and (steps[k] < usual or 1 <= after.hour <= 4):
+    sharp = amid & (np.abs(off - 3600) <= near)
+    for k in map(int, np.flatnonzero(sharp | ((steps < 0) & (np.abs(off - 3600) <= ABOUT)))):
+        before, after = _stamps(table[name], k)
+        if before.tzinfo or after.tzinfo:
+            continue
+        by_night = after.hour < 4 if steps[k] < 0 else _by_night(before, after)
+        if by_night or (sharp[k] and steps[k] < usual):
+            Ts = float(steps[even].mean()) if even.any() else usual
             return (
                 f"{place(table, k + 1)}, column '{name}': the time goes from {before.isoformat()} to "
-                f"{after.isoformat()} amid steps of {usual:.6g} s, which looks like a clock set to summer or winter "
+                f"{after.isoformat()} amid steps of {Ts:.6g} s, which looks like a clock set to summer or winter "
                 "time: write UTC or offsets (as +01:00), or leave the column out and give the sampling time "
-                f"(--ts {usual:.9g})"
+                f"(--ts {Ts:.9g})"
             )
     return ""
+
+
+def _stamps(column: pd.Series, k: int) -> tuple[pd.Timestamp, pd.Timestamp]:
+    """Dates k and k + 1 of a column, as they stand in the file."""
+    return pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
+
+
+def _by_night(earlier: pd.Timestamp, later: pd.Timestamp) -> bool:
+    """Whether clocks may be set ahead between two stamps: from 0 to 3 o'clock, to 1 to 4."""
+    return bool(earlier < (later - pd.Timedelta(hours=1)).normalize() + pd.Timedelta(hours=3))
 
 
 def steady_times(table: pd.DataFrame, name: str) -> FloatArray:
     """A column's `times`, of one clock.
 
     Raises:
-        InputError: as `times`; or there is a `clock_change`.
+        InputError: as `times`; there is a `clock_change`; or dates do not grow, which are named as they stand.
     """
     t = times(table, name)
     if change := clock_change(table, name, t):
         raise InputError(change)
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back) and not tells_seconds(table[name]):
+        before, after = _stamps(table[name], int(back[0]))
+        raise InputError(
+            f"{place(table, int(back[0]) + 1)}, column '{name}': time goes from {before.isoformat()} to "
+            f"{after.isoformat()}: expected it to grow; sort or cut the rows"
+        )
     return t
 
 

@@ -341,9 +341,52 @@ def test_a_clock_set_to_summer_or_winter_time_is_told(minutes: int, start: str, 
     with pytest.raises(InputError, match="looks like a clock"):
         steady_times(read_table(tmp_path / "a.csv"), "when")
     assert told(stamps) == told(stamps.dt.tz_convert("UTC").dt.tz_localize(None)) == ""
+    mixed = local.dt.strftime("%Y-%m-%dT%H:%M").where(local.index < at - 2, stamps.astype(str))
+    assert told(mixed) == ""
     by_day = pd.Series(pd.date_range("2024-03-30T08:00", periods=100, freq="1min"))
     assert told(by_day.where(by_day.index < 50, by_day + pd.Timedelta(hours=1))) == ""
     assert told(pd.Series(np.where(np.arange(100) < 50, 0, 3600) + 300 * np.arange(100))) == ""
+
+
+@pytest.mark.parametrize(("minutes", "scatter"), [(5, 10), (5, 50), (20, 60), (360, 60), (360, 0)])
+@pytest.mark.parametrize("start", ["2024-03-28", "2024-10-24"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clock_change_is_told_amid_steps_that_scatter(minutes: int, scatter: int, start: str, seed: int) -> None:
+    """And steps of hours; not in UTC, nor where the gap is by day."""
+    random = np.random.default_rng(seed)
+    grid = pd.Series(pd.date_range(f"{start}T05:00", periods=6 * 1440 // minutes, freq=f"{minutes}min", tz="UTC"))
+    stamps = grid + pd.to_timedelta(random.uniform(-scatter, scatter, len(grid)).round(3), unit="s")
+
+    def told(values: pd.Series) -> str:
+        table = Frame({"when": values})
+        return clock_change(table, "when", times(table, "when"))
+
+    message = told(stamps.dt.tz_convert("Europe/Berlin").dt.tz_localize(None))
+    assert "looks like a clock set to summer or winter time" in message
+    assert float(message.split("--ts ")[1].rstrip(")")) == pytest.approx(60 * minutes, rel=1e-3)
+    naive = stamps.dt.tz_localize(None)
+    assert told(naive) == ""
+    noon = naive.searchsorted(pd.Timestamp(f"{start}T12:00") + pd.Timedelta(days=4))
+    if minutes < 60:
+        assert told(naive.where(naive.index < noon, naive + pd.Timedelta(hours=1))) == ""
+
+
+def test_dates_that_run_back_are_named_as_they_stand() -> None:
+    """By about an hour at night they are a clock's, however uneven the steps; then to sort them would be wrong."""
+    uneven = pd.Series(np.cumsum(np.random.default_rng(0).uniform(60, 600, 100)))
+
+    def refused(start: str, back: float) -> str:
+        seconds = uneven.where(uneven.index < 50, uneven - back)
+        with pytest.raises(InputError) as error:
+            steady_times(Frame({"when": pd.Timestamp(start) + pd.to_timedelta(seconds.round(), unit="s")}), "when")
+        return str(error.value)
+
+    night = "2024-10-26T22:30"
+    assert "looks like a clock set to summer or winter time" in refused(night, 3600)
+    for message in (refused(night, 9000), refused("2024-10-26T12:00", 3600)):
+        stamp = r"2024-10-\d\dT[\d:]{8}"
+        goes = f"time goes from {stamp} to {stamp}: expected it to grow; sort or cut the rows"
+        assert re.fullmatch(f"'table' row 50, column 'when': {goes}", message)
 
 
 def test_what_spreadsheets_add_is_told_by_name(tmp_path: Path) -> None:
