@@ -1,8 +1,8 @@
 """Files of named arrays (MAT v5 and v7.3, NPZ, HDF5) as tables. Nothing in them is unpickled or followed elsewhere.
 
 Time runs along the first axis. An array of K, K×1 or MATLAB's 1×K is the column of its name; K×c, c ≤ K, gives the
-columns name1 … namec. What is no array of real numbers (structs, iddata, cells, text, objects) is left out, and so is
-every array of another length than the others: `Left out` says why, should such a one be asked for.
+columns name1 … namec. What is no array of real numbers (structs, iddata, cells, text, objects) nor, in NPZ, of times is
+left out, and so is every array of another length than the others: `Left out` says why, should such a one be asked for.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def as_table(variables: Sequence[Variable], path: Path, wanted: Sequence[str | i
     """The columns of one length as a table, index 1 … K; `attrs["left out"]` tells of each other array why.
 
     The length is that of the `wanted` columns if they are given by name, else the longest that two columns
-    share, else the longest.
+    share, else the longest; scalars are columns where there is nothing else.
 
     Raises:
         InputError: no array of numbers, two columns of one name, wanted columns of different lengths, or
@@ -85,7 +85,7 @@ def as_table(variables: Sequence[Variable], path: Path, wanted: Sequence[str | i
         if values.dtype.kind == "c":  # MAT v5 tells only with the values
             left_out[variable.name] = "complex numbers"
             continue
-        values = values if values.dtype.kind == "M" else values.astype(np.float64)
+        values = values if values.dtype.kind in "mM" else values.astype(np.float64)
         data |= zip(variable.columns(), values.reshape(length, -1).T, strict=True)
     table = pd.DataFrame(data, index=pd.RangeIndex(1, length + 1))
     table.attrs["left out"] = left_out
@@ -114,8 +114,9 @@ def _length(lengths: dict[str, int], wanted: Sequence[str | int], source: str) -
             )
     if asked:
         return lengths[asked[0]]
-    shared = [length for length, count in Counter(lengths.values()).items() if count > 1]
-    return max(shared or lengths.values())
+    signals = [length for length in lengths.values() if length > 1] or [1]  # scalars beside them are settings
+    shared = [length for length, count in Counter(signals).items() if count > 1]
+    return max(shared or signals)
 
 
 def npz_variables(path: Path) -> Iterator[Variable]:
@@ -133,7 +134,7 @@ def npz_variables(path: Path) -> Iterator[Variable]:
                     yield Variable(name, (), None, f"format {version[0]}.{version[1]} is of records, not numbers")
                     continue
                 start = stream.tell()
-            if dtype.kind not in "fiubM":
+            if dtype.kind not in "fiubM" and not _elapsed(dtype):
                 kind = (
                     "Python objects, which are never loaded" if dtype.hasobject else f"type {dtype}, not real numbers"
                 )
@@ -145,6 +146,11 @@ def npz_variables(path: Path) -> Iterator[Variable]:
                     f"and holds {member.file_size - start} bytes: the file is damaged"
                 )
             yield Variable(name, shape, lambda member=member: _npy(path, member))  # type: ignore[misc]
+
+
+def _elapsed(dtype: np.dtype[Any]) -> bool:
+    """Whether an array holds elapsed times in a unit of so many nanoseconds, as a month is not."""
+    return dtype.kind == "m" and np.datetime_data(dtype)[0] in ("W", "D", "h", "m", "s", "ms", "us", "ns")
 
 
 def _npy(path: Path, member: zipfile.ZipInfo) -> NDArray[Any]:

@@ -13,6 +13,7 @@ import os
 import re
 import textwrap
 import tomllib
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
@@ -30,6 +31,10 @@ Column = str | int
 LARGEST_FILE = 1_000_000
 """Bytes of a description; a longer one is none."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+# letters that Unicode does not take apart into a base and a mark
+_WHOLE = str.maketrans(
+    {"ß": "ss", "Æ": "AE", "æ": "ae", "Ø": "O", "ø": "o", "Œ": "OE", "œ": "oe", "Ł": "L", "ł": "l", "Đ": "D", "đ": "d"}
+)
 
 
 def _text(value: object) -> str:
@@ -292,6 +297,13 @@ def check_roles(inputs: Sequence[Column], outputs: Sequence[Column], time: Colum
             raise InputError(f"column {column!r}: expected to be an input, an output or the time, found more than one")
 
 
+def record_name(file: str | Path) -> str:
+    """The file's name without suffixes and accents, "-" for what a name of results may not have."""
+    stem = Path(Path(file).name.removesuffix(".gz")).stem
+    plain = "".join(c for c in unicodedata.normalize("NFKD", stem.translate(_WHOLE)) if not unicodedata.combining(c))
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip(".-_") or "record"
+
+
 @cache
 def field_texts() -> dict[str, str]:
     """The docstring of each field of `Description`, in order: help of the options, comments of the file."""
@@ -322,7 +334,7 @@ def read_description(path: Path) -> Description:
             raise InputError(
                 f"'{path.name}' is no description: longer than {LARGEST_FILE} bytes: expected a short TOML file"
             )
-        table = tomllib.loads(content.decode())
+        table = tomllib.loads(content.decode("utf-8-sig"))  # Windows' editors put a mark first
     except OSError as error:
         raise InputError(f"cannot read the description '{path}': {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -334,7 +346,7 @@ def read_description(path: Path) -> Description:
             hint = f"did you mean '{near}'? " if near else ""
             raise InputError(f"'{path.name}': unknown key {shown(key)}: {hint}valid keys are {', '.join(valid)}")
     _check_below_test(table, valid, path)
-    table.setdefault("name", path.stem)
+    table.setdefault("name", path.stem if _NAME.fullmatch(path.stem) else record_name(path))
     for key in ("files", "inputs", "outputs"):
         if key not in table:
             raise InputError(f"'{path.name}': the key '{key}' is missing: {field_texts()[key]}")

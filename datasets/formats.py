@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +26,34 @@ SUFFIXES = (*TEXT, ".xlsx", ".parquet", ".mat", ".npz", ".h5", ".hdf5")
 """All suffixes that are known."""
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _FOREIGN_DATE = re.compile(r"(?:\d{1,2}([./-])\d{1,2}\1(?:\d{4}|\d\d)|\d{4}[./]\d{1,2}[./]\d{1,2})\b.*")
+_MEANT_AS_NUMBER = re.compile(r"[\W_]*\d")  # "0x10" and "1_000", not "m3/h"
 SAME = 0.01
 """Part of the usual step to within which a jump counts as an hour's, and its neighbours as no jumps."""
+JITTERS = 4.0
+"""As many median deviations of the steps from their median do so, too: 99 % of them where stamps scatter normally."""
+SMALL, WELL_BELOW = 0.5, 300.0
+"""Part of the usual step, and seconds of an hour, that these may be for steps to be regular."""
+ABOUT = 600.0
+"""Seconds to within which a time that runs back by night does so by an hour, however uneven its steps."""
 LATEST = 1e10
 """Seconds, three hundred years: a larger time in no stated unit is Unix time in ms, µs or ns, or ticks."""
 
 
-def read_table(path: Path, columns: Columns | None = None, sheet: str | int | None = None) -> pd.DataFrame:
+def read_table(
+    path: Path, columns: Columns | None = None, sheet: str | int | None = None, known: Collection[str] = ()
+) -> pd.DataFrame:
     """The file as a table, one row a sample; the index is the row as counted in the file.
 
     Columns of numbers are float64 (whole numbers beyond 2⁵³ and decimals are rounded to the nearest double, false
-    and true are 0 and 1, missing cells NaN), dates are datetime64, all else stays as it is, for `numbers` to refuse by
-    row and column when it is used. `attrs["source"]` is the file's name, `attrs["left out"]` tells why parts of
-    a file that are no columns are none.
+    and true are 0 and 1, missing cells NaN), dates are datetime64, elapsed times timedelta64, all else stays as it is,
+    for `numbers` to refuse by row and column when it is used. `attrs["source"]` is the file's name,
+    `attrs["left out"]` tells why parts of a file that are no columns are none.
 
     Args:
         path: A regular file; its suffix tells the format.
         columns: Which columns, by name or by number from 1; all if None.
         sheet: Sheet of an Excel file, by name or by number from 1; the first if None.
+        known: Those of `columns` that were names before, as a model's channels, and cannot be numbers.
 
     Raises:
         InputError: no such file or column, an unknown suffix, or a file that cannot be read as what it says it is.
@@ -78,25 +88,31 @@ def read_table(path: Path, columns: Columns | None = None, sheet: str | int | No
     table.attrs["source"] = path.name
     if table.empty:
         raise InputError(f"'{path.name}' holds no samples: expected a row for each")
-    return table if columns is None else table[[find_column(table, column) for column in columns]]
+    return table if columns is None else table[[find_column(table, column, known) for column in columns]]
 
 
-def find_column(table: pd.DataFrame, column: str | int) -> str:
+def find_column(table: pd.DataFrame, column: str | int, known: Collection[str] = ()) -> str:
     """The name of a column given by name or by number from 1 (digits that name no column are a number).
 
+    Args:
+        table: has it.
+        column: its name, or its number.
+        known: names that cannot be numbers.
+
     Raises:
-        InputError: there is none; the message gives the nearest name, or why the file's array is no column.
+        InputError: there is none, and the message gives the nearest name, or why the file's array is no column; or
+            the name of one is the number of another, as where columns are named 0, 1, 2.
     """
     names = [str(name) for name in table.columns]
     source = table.attrs.get("source", "table")
+    if column not in known:
+        _check_unambiguous(names, column, source)
     if isinstance(column, str) and column in names:
         return column
     left_out = table.attrs.get("left out", {})
     if column in left_out:
         raise InputError(f"'{source}': '{column}' cannot be a column: {left_out[column]}")
-    number = (
-        int(column) if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9) else None
-    )
+    number = _number_of_column(column)
     if number is None:
         near = nearest(str(column), names, 0.5)
         hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
@@ -104,6 +120,25 @@ def find_column(table: pd.DataFrame, column: str | int) -> str:
     if not 1 <= number <= len(names):
         raise InputError(f"'{source}' has no column {number}: it has {len(names)}, counted from 1{other_sheets(table)}")
     return names[number - 1]
+
+
+def _check_unambiguous(names: Sequence[str], column: str | int, source: str) -> None:
+    """Refuse digits that are the name of one column and the number of another: a user may mean either."""
+    number = _number_of_column(column)
+    if number is None or str(column) not in names or not 1 <= number <= len(names):
+        return
+    named = names.index(str(column)) + 1
+    if named != number:
+        raise InputError(
+            f"'{source}': expected a column, found that {shown(column)} may be column {number}, named "
+            f"'{names[number - 1]}', or column {named}, named '{column}': rename the columns in words"
+        )
+
+
+def _number_of_column(column: str | int) -> int | None:
+    if isinstance(column, int) or (column.isascii() and column.isdigit() and len(column) < 9):
+        return int(column)
+    return None
 
 
 def numbers(table: pd.DataFrame, name: str) -> FloatArray:
@@ -122,8 +157,9 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
                 f"{place(table, k)}, column '{name}': expected a number, found {shown(values[k])}{_hint(column, k)}"
             )
         array = values.astype(np.float64)
-    elif column.dtype.kind == "M":
-        raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the date {column.iloc[0]}")
+    elif column.dtype.kind in "mM":
+        found = "date" if column.dtype.kind == "M" else "elapsed time"
+        raise InputError(f"{place(table, 0)}, column '{name}': expected a number, found the {found} {column.iloc[0]}")
     else:
         array = column.to_numpy(np.float64)
     infinite = np.isinf(array)
@@ -134,7 +170,9 @@ def numbers(table: pd.DataFrame, name: str) -> FloatArray:
 
 
 def times(table: pd.DataFrame, name: str) -> FloatArray:
-    """A time column in seconds: numbers in the unit that its name states, dates and ISO 8601 text since the first.
+    """A time column in seconds: numbers in the unit that its name states, elapsed times; dates since the first.
+
+    Dates may be ISO 8601 text.
 
     Raises:
         InputError: a cell is neither, and the message names row and column; or the numbers are no seconds, and are
@@ -143,6 +181,8 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
     column = table[name]
     if holds_numbers(column):
         return _in_seconds(table, name)
+    if column.dtype.kind == "m":
+        return np.asarray(column.dt.total_seconds(), dtype=np.float64)
     if column.dtype.kind == "O":
         # Cell by cell, so that "2024-01-01" and 17 in one column are told apart.
         as_text = [value if isinstance(value, str) else getattr(value, "isoformat", lambda: None)() for value in column]
@@ -164,40 +204,66 @@ def times(table: pd.DataFrame, name: str) -> FloatArray:
 def clock_change(table: pd.DataFrame, name: str, t: FloatArray) -> str:
     """Where a time column of local stamps jumps by an hour amid regular steps, as clocks do twice a year; else "".
 
-    Resampled or sorted, such a record would be wrong by that hour, so it is told apart from a gap. A jump ahead may be
-    one, and counts only at night, when clocks change.
+    Resampled or sorted, such a record would be wrong by that hour, so it is told apart from a gap. Steps are regular
+    within their usual jitter where that is small. A jump ahead may be a gap, and counts only at night, when clocks
+    change; a time that runs back by about an hour there counts amid any steps.
 
     Args:
         table: has the column.
         name: of it.
         t: its `times`.
     """
-    column, steps = table[name], np.diff(t)
-    if holds_numbers(column) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
+    steps = np.diff(t)
+    if tells_seconds(table[name]) or len(steps) < 3 or not (usual := float(np.nanmedian(steps))) > 0:
         return ""
-    even = np.abs(steps - usual) <= SAME * usual
+    off = np.abs(steps - usual)
+    jitter = JITTERS * float(np.nanmedian(off))
+    near = max(SAME * usual, jitter if jitter <= min(SMALL * usual, WELL_BELOW) else 0.0)
+    even = off <= near
     amid = np.concatenate([[True], even[:-1]]) & np.concatenate([even[1:], [True]])
-    for k in map(int, np.flatnonzero(amid & (np.abs(np.abs(steps - usual) - 3600) <= SAME * usual))):
-        before, after = pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
-        if after.tzinfo is None and (steps[k] < usual or 1 <= after.hour <= 4):
+    sharp = amid & (np.abs(off - 3600) <= near)
+    for k in map(int, np.flatnonzero(sharp | ((steps < 0) & (np.abs(off - 3600) <= ABOUT)))):
+        before, after = _stamps(table[name], k)
+        if before.tzinfo or after.tzinfo:
+            continue
+        by_night = after.hour < 4 if steps[k] < 0 else _by_night(before, after)
+        if by_night or (sharp[k] and steps[k] < usual):
+            Ts = float(steps[even].mean()) if even.any() else usual
             return (
                 f"{place(table, k + 1)}, column '{name}': the time goes from {before.isoformat()} to "
-                f"{after.isoformat()} amid steps of {usual:.6g} s, which looks like a clock set to summer or winter "
+                f"{after.isoformat()} amid steps of {Ts:.6g} s, which looks like a clock set to summer or winter "
                 "time: write UTC or offsets (as +01:00), or leave the column out and give the sampling time "
-                f"(--ts {usual:.9g})"
+                f"(--ts {Ts:.9g})"
             )
     return ""
+
+
+def _stamps(column: pd.Series, k: int) -> tuple[pd.Timestamp, pd.Timestamp]:
+    """Dates k and k + 1 of a column, as they stand in the file."""
+    return pd.Timestamp(column.iloc[k]), pd.Timestamp(column.iloc[k + 1])
+
+
+def _by_night(earlier: pd.Timestamp, later: pd.Timestamp) -> bool:
+    """Whether clocks may be set ahead between two stamps: from 0 to 3 o'clock, to 1 to 4."""
+    return bool(earlier < (later - pd.Timedelta(hours=1)).normalize() + pd.Timedelta(hours=3))
 
 
 def steady_times(table: pd.DataFrame, name: str) -> FloatArray:
     """A column's `times`, of one clock.
 
     Raises:
-        InputError: as `times`; or there is a `clock_change`.
+        InputError: as `times`; there is a `clock_change`; or dates do not grow, which are named as they stand.
     """
     t = times(table, name)
     if change := clock_change(table, name, t):
         raise InputError(change)
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back) and not tells_seconds(table[name]):
+        before, after = _stamps(table[name], int(back[0]))
+        raise InputError(
+            f"{place(table, int(back[0]) + 1)}, column '{name}': time goes from {before.isoformat()} to "
+            f"{after.isoformat()}: expected it to grow; sort or cut the rows"
+        )
     return t
 
 
@@ -243,10 +309,10 @@ def is_numeric(column: pd.Series) -> bool:
 
 
 def holds_dates(table: pd.DataFrame, name: str) -> bool:
-    """Whether a column holds dates, as a `time` column may."""
+    """Whether a column holds dates or elapsed times, as a `time` column may."""
     column = table[name]
     if column.dtype.kind != "O" or is_numeric(column) or not column.notna().any():
-        return column.dtype.kind == "M"
+        return column.dtype.kind in "mM"
     try:
         times(table, name)
     except InputError:
@@ -258,7 +324,12 @@ def holds_numbers(column: pd.Series) -> bool:
     """Whether each cell of a column is a number or empty."""
     if column.dtype.kind == "O":
         return all(isinstance(_number(value), float) for value in column)
-    return column.dtype.kind != "M"
+    return column.dtype.kind not in "mM"
+
+
+def tells_seconds(column: pd.Series) -> bool:
+    """Whether a time column counts from a start of its own, by numbers or elapsed times; dates are of a calendar."""
+    return column.dtype.kind == "m" or holds_numbers(column)
 
 
 def place(table: pd.DataFrame, k: int) -> str:
@@ -268,9 +339,10 @@ def place(table: pd.DataFrame, k: int) -> str:
 
 def _hint(column: pd.Series, k: int) -> str:
     """What can be done about the word in cell k of a column of numbers, where that is a known case."""
-    if _THOUSANDS.fullmatch(str(column.iloc[k]).strip()):
+    found = str(column.iloc[k]).strip()
+    if _THOUSANDS.fullmatch(found):
         return ": take the separators of thousands out, as in 1001.34"
-    if k == 0 and len(column) > 1 and holds_numbers(column.iloc[1:]):
+    if k == 0 and not _MEANT_AS_NUMBER.match(found) and len(column) > 1 and holds_numbers(column.iloc[1:]):
         return ": if this is a row of units, delete it and give --input-units and --output-units"
     return ""
 
@@ -400,6 +472,8 @@ def _read_parquet(path: Path) -> pd.DataFrame:
                 data[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             elif kinds.is_timestamp(column.type):
                 data[field.name] = column.cast(arrow.timestamp("ns")).to_numpy()
+            elif kinds.is_duration(column.type):
+                data[field.name] = column.cast(arrow.duration("ns")).to_numpy()
             else:
                 data[field.name] = np.array([*column.to_pylist(), None], dtype=object)[:-1]
         table = pd.DataFrame(data, index=pd.RangeIndex(1, file.metadata.num_rows + 1))

@@ -54,6 +54,8 @@ class Layout:
     """Lines before the first row of samples."""
     text: tuple[bool, ...]
     """Which columns start with a word or date, so are read as text."""
+    ended: bool = False
+    """Whether the first row ends in a delimiter that the header lacks: its empty cell makes a last column, nameless."""
 
 
 def cell(text: str, decimal: str = ".") -> float | str:
@@ -143,8 +145,15 @@ def read_text(path: Path) -> pd.DataFrame:
     if table is None or _has_short_row(path, layout, table):
         table = _read_carefully(path, layout)
     nameless = layout.names[-1] == str(len(layout.names))
-    if nameless and len(layout.names) > 1 and table.iloc[:, -1].isna().all():
-        table = table.iloc[:, :-1]  # every line ends in a delimiter
+    if nameless and len(layout.names) > 1:
+        filled = table.iloc[:, -1].notna().to_numpy()
+        if not filled.any():
+            return table.iloc[:, :-1]  # every line ends in a delimiter
+        if layout.ended:
+            raise InputError(
+                f"'{path.name}' row {table.index[filled.argmax()]}: expected {len(layout.names) - 1} cells as in the "
+                f"header, found {len(layout.names)}: name the last column, or take it out"
+            )
     return table
 
 
@@ -239,7 +248,10 @@ def _layout(path: Path) -> Layout:
         number, first = next(rows, (0, []))
         if not first:
             raise InputError(f"{source} holds column names but no samples: expected rows of numbers below them")
-    layout = Layout(delimiter, ".", names or tuple(str(i + 1) for i in range(len(first))), skipped, ())
+    ended = names is not None and len(first) == len(names) + 1 and not first[-1].strip()
+    if names is None or ended:
+        names = (*(names or ()), *(str(i + 1) for i in range(len(names or ()), len(first))))
+    layout = Layout(delimiter, ".", names, skipped, (), ended)
     if delimiter in "\t;":
         layout = replace(layout, decimal=_decimal(path, layout))
     text = tuple(isinstance(cell(value, layout.decimal), str) for value in first)
@@ -356,8 +368,10 @@ def _read_carefully(path: Path, layout: Layout) -> pd.DataFrame:
     columns: list[list[float | str]] = [[] for _ in layout.names]
     for number, row in _rows(path, layout.delimiter, layout.skipped):
         if len(row) != len(columns):
+            ended = len(row) == len(columns) + 1 and not row[-1].strip()
             raise InputError(
                 f"'{path.name}' row {number}: expected {len(columns)} cells as in the rows before, found {len(row)}"
+                + ": it ends in a delimiter, which is to be taken off, or to end every row" * ended
             )
         numbers.append(number)
         for column, value in zip(columns, row, strict=True):

@@ -24,15 +24,19 @@ SECONDS = {
 }  # fmt: skip
 """Units of time that a time column may have, in seconds."""
 _SPELLINGS = {
-    "s": "s sec secs second seconds", "ms": "ms msec msecs millisecond milliseconds",
-    "us": "us µs μs usec usecs microsecond microseconds", "ns": "ns nsec nsecs nanosecond nanoseconds",
+    "s": "s sec secs second seconds", "ms": "ms msec msecs millis millisecond milliseconds",
+    "us": "us µs μs usec usecs micros microsecond microseconds",
+    "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
     "min": "min mins minute minutes", "h": "h hr hrs hour hours", "d": "d day days",
 }  # fmt: skip
 _UNIT_OF_TIME = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
-_TIME_ENDING = re.compile(rf"(?:.*[\W_])?({'|'.join(_UNIT_OF_TIME)})", re.IGNORECASE)
+_WORDS = "|".join(_UNIT_OF_TIME)
+_TIME_ENDING = re.compile(rf"(?:.*[\W_])?({_WORDS})", re.IGNORECASE)
+_SINCE = re.compile(rf"(?:.*[\W_])?({_WORDS})[\W_]since(?:[\W_].*)?", re.IGNORECASE)
 _CAPITALISED = re.compile(rf"(.*[a-z])({'|'.join(word.capitalize() for word in _UNIT_OF_TIME if len(word) > 1)})")
 _TIME = re.compile(r"(t|time|timestamp|date|datetime)([^a-z].*)?", re.IGNORECASE)
-_COUNTS = re.compile(r"samples?|ticks?|steps?|counts?|cycles?|index", re.IGNORECASE)  # in parentheses no words, these
+# in parentheses no words, but these: counts, and what is or ends in a unit of time or begins with a number, as "10 ms"
+_OF_TIME = re.compile(rf"samples?|ticks?|steps?|counts?|cycles?|index|(?:.*[\W_\d])?(?:{_WORDS})|\d.*", re.IGNORECASE)
 
 
 def unit_in(name: str) -> str:
@@ -49,13 +53,16 @@ def unit_in(name: str) -> str:
 
 
 def time_unit_in(name: str) -> str:
-    """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms", "timeMs" or "t/h".
+    """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms", "timeMs" or "t/h", or in
+    "ms_since_start".
 
-    One of `SECONDS`; what stands in the brackets where that is none of time; `NO_UNIT` where there is none.
+    One of `SECONDS`; what stands in the brackets where that is none of time, as "10 ms"; `NO_UNIT` where there is none.
     """
     unit = unit_in(name)
-    if unit == NO_UNIT and (found := _PARENTHESISED.fullmatch(name)):
-        unit = found[1] if found[1].lower() in _UNIT_OF_TIME or _COUNTS.fullmatch(found[1]) else NO_UNIT
+    if found := _SINCE.fullmatch(name):
+        unit = found[1]
+    if unit == NO_UNIT and (found := _PARENTHESISED.fullmatch(name)) and not _NUMBER.fullmatch(found[1]):
+        unit = found[1] if _OF_TIME.fullmatch(found[1]) else NO_UNIT
     if unit == NO_UNIT and (found := _TIME_ENDING.fullmatch(name)):
         unit = found[1]
     elif unit == NO_UNIT and (found := _CAPITALISED.fullmatch(name)):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nnss_cli.datasets.description import Description, check_fields, check_roles, write_description
+from nnss_cli.datasets.description import Description, check_fields, check_roles, record_name, write_description
 from nnss_cli.datasets.experiments import check_alike, check_length, files_by_role, read_signals
 from nnss_cli.datasets.formats import (
     clock_change,
@@ -35,7 +35,7 @@ from nnss_cli.errors import InputError
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_result import Inspection
 from nnss_cli.experiment.inspection_split import Part, Split
-from nnss_cli.experiment.source import describe, described_with, record_name
+from nnss_cli.experiment.source import describe, described_with
 
 _INPUT = re.compile(r"(u|in|input)([^a-z].*)?", re.IGNORECASE)
 _OUTPUT = re.compile(r"(y|out|output)([^a-z].*)?", re.IGNORECASE)
@@ -229,7 +229,9 @@ def assign_roles(table: pd.DataFrame, fields: Mapping[str, Any]) -> Roles:
         others.remove(clock)
         guesses.append(f"Left out, since it reads as a time: {clock}: --inputs or --outputs says otherwise.")
     if stamps := [name for name in others if name in dates]:
-        guesses.append(f"Left out, since they hold dates: {', '.join(stamps)}: --time takes one for the time.")
+        guesses.append(
+            f"Left out, since they hold dates or elapsed times: {', '.join(stamps)}: --time takes one for the time."
+        )
     words = [name for name in others if name not in dates and not is_numeric(table[name])]
     reasons = {name: why for name in words if (why := misread(table[name]))}
     guesses += [f"Left out: column '{name}' {why}." for name, why in reasons.items()]

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import re
-import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from nnss_cli.datasets.catalog import BENCHMARKS, benchmark, load
-from nnss_cli.datasets.description import Description, check_fields, read_description
+from nnss_cli.datasets.description import Description, check_fields, read_description, record_name
 from nnss_cli.datasets.download import fetch, is_cached
 from nnss_cli.datasets.record import Dataset
 from nnss_cli.errors import InputError
-
-# letters that Unicode does not take apart into a base and a mark
-_WHOLE = str.maketrans(
-    {"ß": "ss", "Æ": "AE", "æ": "ae", "Ø": "O", "ø": "o", "Œ": "OE", "œ": "oe", "Ł": "L", "ł": "l", "Đ": "D", "đ": "d"}
-)
 
 
 @dataclass(frozen=True)
@@ -135,13 +128,6 @@ def described_with(path: Path, own: Mapping[str, Any]) -> Description:
 
 def _resolved(files: Sequence[str]) -> tuple[str, ...]:
     return tuple(str(Path(file).resolve()) for file in files)
-
-
-def record_name(file: str | Path) -> str:
-    """The file's name without suffixes and accents, "-" for what a name of results may not have."""
-    stem = Path(Path(file).name.removesuffix(".gz")).stem
-    plain = "".join(c for c in unicodedata.normalize("NFKD", stem.translate(_WHOLE)) if not unicodedata.combining(c))
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip(".-_") or "record"
 
 
 def _looks_like_a_file(name: str) -> bool:

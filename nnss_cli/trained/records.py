@@ -14,12 +14,12 @@ from nnss_cli.datasets.formats import (
     clock_change,
     guess_time,
     holds_dates,
-    holds_numbers,
     numbers,
     other_sheets,
     place,
     read_table,
     steady_times,
+    tells_seconds,
     times,
 )
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
@@ -42,7 +42,7 @@ class Start:
     y: FloatArray | None
     """Outputs (K, m) to be compared with, NaN where a sample is missing; None where all beyond the window are."""
     t: FloatArray | None = None
-    """Instants (K,) [s], where a time column of numbers was read."""
+    """Instants (K,) [s], where a time column of numbers or elapsed times was read."""
 
 
 def read_record(
@@ -78,7 +78,7 @@ def read_timed(
     Ts: float | None = None,
     sheet: str | int | None = None,
 ) -> tuple[Record, FloatArray | None]:
-    """As `read_record`, and the instants (K,) [s] where a time column of numbers was read.
+    """As `read_record`, and the instants (K,) [s] where a time column of numbers or elapsed times was read.
 
     Args:
         model: as for `read_record`.
@@ -146,12 +146,12 @@ def _columns(
     sheet: str | int | None,
     without_outputs: str = "",
 ) -> tuple[FloatArray, Any, FloatArray | None]:
-    """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if numbers.
+    """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if no dates.
 
     `without_outputs` ends the message where outputs alone are missing.
     """
     try:
-        table = _table(path, [*names] if time is None else [*names, time], sheet, time is None and Ts is None)
+        table = _table(path, names, time, sheet, time is None and Ts is None)
     except InputError as error:
         if "has no column" not in str(error):
             raise
@@ -190,17 +190,18 @@ def _columns(
             raise InputError(f"{error}, {over}") from error
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
-    return values, table, t if clock is not None and holds_numbers(table[clock]) else None
+    return values, table, t if clock is not None and tells_seconds(table[clock]) else None
 
 
-def _table(path: Path, wanted: Sequence[str | int], sheet: str | int | None, whole: bool) -> Any:
-    """The columns wanted; the whole table where that is asked for and holds them, as one of several records may not."""
+def _table(path: Path, channels: Sequence[str], time: str | int | None, sheet: str | int | None, whole: bool) -> Any:
+    """Columns of channels and time; the whole table where that is asked for and has them, as one of several may not."""
+    wanted = [*channels] if time is None else [*channels, time]
     if whole:
         with suppress(InputError):
             table = read_table(path, None, sheet)
             if set(wanted) <= set(table.columns):
                 return table
-    return read_table(path, wanted, sheet)
+    return read_table(path, wanted, sheet, known=channels)
 
 
 def _rising_time(table: Any, channels: Sequence[str]) -> tuple[str, FloatArray] | None:

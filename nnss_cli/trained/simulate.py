@@ -38,7 +38,7 @@ class Simulated:
     scores: tuple[Score, ...]
     """Errors of each output over what was measured of it after the init window; none of one without."""
     t: FloatArray | None = None
-    """Instants (K,) [s] as the file has them; None where no time column of numbers was read."""
+    """Instants (K,) [s] as the file has them; None where no time column of numbers or elapsed times was read."""
 
     def seconds(self, Ts: float) -> FloatArray:
         """The instants (K,) [s], from 0."""

@@ -180,6 +180,13 @@ def test_what_is_no_toml_is_refused(content: bytes, message: str, tmp_path: Path
         read_description(tmp_path)
 
 
+@pytest.mark.parametrize(("file", "name"), [("Öl Tank", "Ol-Tank"), ("run-.2", "run-.2"), ("水", "record")])
+def test_a_description_without_a_name_is_named_after_its_file(file: str, name: str, tmp_path: Path) -> None:
+    """As a file of samples is; behind the mark that Windows' editors put first, too."""
+    (tmp_path / f"{file}.toml").write_text(toml(**MINIMAL), encoding="utf-8-sig")
+    assert read_description(tmp_path / f"{file}.toml").name == name
+
+
 def signals(K: int = 100, seed: int = 0, Ts: float = 0.5) -> pd.DataFrame:
     random = np.random.default_rng(seed)
     return pd.DataFrame({

@@ -303,7 +303,7 @@ def test_what_is_given_is_kept_and_the_rest_is_guessed() -> None:
     assert roles(["a", "b", "c"], outputs=["a"]) == (("b", "c"), ("a",), None)
     assert roles(["a", "b", "c"], inputs=[1]) == (("a",), ("b", "c"), None)
     assert roles(["a", "b", "c"], time="a") == (("b",), ("c",), "a")
-    assert roles(["time", "b", "c"], Ts=0.1) == (("time", "b"), ("c",), None)
+    assert roles(["time", "b", "c"], Ts=0.1) == (("b",), ("c",), None)  # a ramp is no input
     assert roles(["time", "b", "c"], inputs=["time"], outputs=["c"]) == (("time",), ("c",), None)
     with pytest.raises(InputError, match="expected a column of numbers as output, found word"):
         roles(["word"])

@@ -225,6 +225,22 @@ def test_silverbox_s_trailing_delimiter_makes_no_column(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.to_numpy(), [[1, 2], [3, 4]])
 
 
+@pytest.mark.parametrize("text", ["u;y\n1,5;2;\n3;4; \n", "u,y\n1.5,2,\n# pump\n3,4,\n", "u\ty\n1.5\t2\t\n3\t4\t\n"])
+def test_rows_may_end_in_a_delimiter_that_the_header_lacks(text: str, tmp_path: Path) -> None:
+    """All of them: what stands behind it in one row is no column without a name, nor does it move the others."""
+    found = read_table(write(tmp_path / "a.txt", text))
+    assert list(found.columns) == ["u", "y"]
+    np.testing.assert_array_equal(found.to_numpy(), [[1.5, 2], [3, 4]])
+    mark = text[1]
+    at = text.count("\n") + 1
+    with pytest.raises(InputError, match=f"row {at}: expected 2 cells as in the header, found 3: name the last column"):
+        read_table(write(tmp_path / "a.txt", f"{text}5{mark}6{mark}7\n8{mark}9{mark}\n"))
+    with pytest.raises(InputError, match=f"row {at}: expected 3 cells as in the rows before, found 2$"):
+        read_table(write(tmp_path / "a.txt", f"{text}5{mark}6\n"))
+    with pytest.raises(InputError, match="row 3: expected 2 cells .* found 3: it ends in a delimiter, which is to be"):
+        read_table(write(tmp_path / "a.txt", f"u{mark}y\n1{mark}2\n3{mark}4{mark}\n"))
+
+
 def test_a_decimal_comma_may_come_late(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "u;y\n" + "1;2\n" * 200 + "1;2,5\n")
     assert numbers(read_table(path), "y")[-1] == 2.5
@@ -248,6 +264,35 @@ def test_times_are_seconds_whichever_way_they_are_written(tmp_path: Path) -> Non
     wrong = write(tmp_path / "c.csv", "t,y\n2024-01-01,1\n01.02.2024,2\n")
     with pytest.raises(InputError, match=r"'c.csv' row 3, column 't': expected a time .* found '01.02.2024'"):
         times(read_table(wrong), "t")
+
+
+def test_elapsed_times_are_seconds_as_a_time_and_no_signal(tmp_path: Path) -> None:
+    seconds = 90_000 + 0.5 * np.arange(5)
+    for unit in ("s", "ms", "us", "ns"):
+        run = pd.Series(pd.to_timedelta(seconds, unit="s")).astype(f"timedelta64[{unit}]")
+        run[2] = pd.NaT
+        expected = np.where(np.arange(5) == 2, np.nan, np.floor(seconds) if unit == "s" else seconds)
+        frame = Frame({"run [ms]": run, "y": np.arange(5.0)})
+        frame.to_parquet(tmp_path / "a.parquet")
+        np.savez(tmp_path / "a.npz", **{"run [ms]": run.to_numpy(), "y": frame.y})
+        book = openpyxl.Workbook()
+        for row in [list(frame.columns), *[[None if pd.isna(t) else t.to_pytimedelta(), 1] for t in run]]:
+            book.active.append(row)  # openpyxl gives them the format [h]:mm:ss
+        book.save(tmp_path / "a.xlsx")
+        for file in ("a.parquet", "a.npz", "a.xlsx"):
+            table = read_table(tmp_path / file)
+            np.testing.assert_allclose(times(table, "run [ms]"), expected, atol=1e-9, err_msg=f"{file} {unit}")
+            assert clock_change(table, "run [ms]", times(table, "run [ms]")) == time_note(table, "run [ms]") == ""
+            with pytest.raises(InputError, match="column 'run .ms.': expected a number, found the elapsed time 1 days"):
+                numbers(table, "run [ms]")
+
+
+def test_elapsed_times_in_no_fixed_unit_are_no_column(tmp_path: Path) -> None:
+    arrays = {unit: np.arange(3).astype(f"m8[{unit}]") for unit in ("Y", "M", "ps", "generic", "m")}
+    np.savez(tmp_path / "a.npz", y=np.arange(3.0), **arrays)
+    assert list(read_table(tmp_path / "a.npz").columns) == ["y", "m"]
+    with pytest.raises(InputError, match="'M' cannot be a column: type timedelta64.M., not real numbers"):
+        read_table(tmp_path / "a.npz", ["M"])
 
 
 def test_a_time_is_read_in_the_unit_that_its_name_states(tmp_path: Path) -> None:
@@ -296,9 +341,52 @@ def test_a_clock_set_to_summer_or_winter_time_is_told(minutes: int, start: str, 
     with pytest.raises(InputError, match="looks like a clock"):
         steady_times(read_table(tmp_path / "a.csv"), "when")
     assert told(stamps) == told(stamps.dt.tz_convert("UTC").dt.tz_localize(None)) == ""
+    mixed = local.dt.strftime("%Y-%m-%dT%H:%M").where(local.index < at - 2, stamps.astype(str))
+    assert told(mixed) == ""
     by_day = pd.Series(pd.date_range("2024-03-30T08:00", periods=100, freq="1min"))
     assert told(by_day.where(by_day.index < 50, by_day + pd.Timedelta(hours=1))) == ""
     assert told(pd.Series(np.where(np.arange(100) < 50, 0, 3600) + 300 * np.arange(100))) == ""
+
+
+@pytest.mark.parametrize(("minutes", "scatter"), [(5, 10), (5, 50), (20, 60), (360, 60), (360, 0)])
+@pytest.mark.parametrize("start", ["2024-03-28", "2024-10-24"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clock_change_is_told_amid_steps_that_scatter(minutes: int, scatter: int, start: str, seed: int) -> None:
+    """And steps of hours; not in UTC, nor where the gap is by day."""
+    random = np.random.default_rng(seed)
+    grid = pd.Series(pd.date_range(f"{start}T05:00", periods=6 * 1440 // minutes, freq=f"{minutes}min", tz="UTC"))
+    stamps = grid + pd.to_timedelta(random.uniform(-scatter, scatter, len(grid)).round(3), unit="s")
+
+    def told(values: pd.Series) -> str:
+        table = Frame({"when": values})
+        return clock_change(table, "when", times(table, "when"))
+
+    message = told(stamps.dt.tz_convert("Europe/Berlin").dt.tz_localize(None))
+    assert "looks like a clock set to summer or winter time" in message
+    assert float(message.split("--ts ")[1].rstrip(")")) == pytest.approx(60 * minutes, rel=1e-3)
+    naive = stamps.dt.tz_localize(None)
+    assert told(naive) == ""
+    noon = naive.searchsorted(pd.Timestamp(f"{start}T12:00") + pd.Timedelta(days=4))
+    if minutes < 60:
+        assert told(naive.where(naive.index < noon, naive + pd.Timedelta(hours=1))) == ""
+
+
+def test_dates_that_run_back_are_named_as_they_stand() -> None:
+    """By about an hour at night they are a clock's, however uneven the steps; then to sort them would be wrong."""
+    uneven = pd.Series(np.cumsum(np.random.default_rng(0).uniform(60, 600, 100)))
+
+    def refused(start: str, back: float) -> str:
+        seconds = uneven.where(uneven.index < 50, uneven - back)
+        with pytest.raises(InputError) as error:
+            steady_times(Frame({"when": pd.Timestamp(start) + pd.to_timedelta(seconds.round(), unit="s")}), "when")
+        return str(error.value)
+
+    night = "2024-10-26T22:30"
+    assert "looks like a clock set to summer or winter time" in refused(night, 3600)
+    for message in (refused(night, 9000), refused("2024-10-26T12:00", 3600)):
+        stamp = r"2024-10-\d\dT[\d:]{8}"
+        goes = f"time goes from {stamp} to {stamp}: expected it to grow; sort or cut the rows"
+        assert re.fullmatch(f"'table' row 50, column 'when': {goes}", message)
 
 
 def test_what_spreadsheets_add_is_told_by_name(tmp_path: Path) -> None:
@@ -308,6 +396,13 @@ def test_what_spreadsheets_add_is_told_by_name(tmp_path: Path) -> None:
         numbers(units, "u")
     with pytest.raises(InputError, match=hint.format("t", "s")):
         times(units, "t")
+    flow = read_table(write(tmp_path / "a.csv", "t,u\ns,m3/h\n0,1\n"))
+    with pytest.raises(InputError, match=hint.format("u", "m3/h")):
+        numbers(flow, "u")
+    for wrong in ("0x10", "1_000", "−1", "(3)"):
+        mistyped = read_table(write(tmp_path / "a.csv", f"t,u\n0,{wrong}\n1,2\n"))
+        with pytest.raises(InputError, match=f"found '{re.escape(wrong)}'$"):
+            numbers(mistyped, "u")
     words = read_table(write(tmp_path / "a.csv", "u\nV\n0\nA\n"))
     with pytest.raises(InputError, match="found 'V'$"):
         numbers(words, "u")
@@ -354,6 +449,23 @@ def test_columns_by_name_and_number(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(InputError, match=message):
             read_table(path, [column])
+
+
+def test_digits_that_name_one_column_and_number_another_are_refused(tmp_path: Path) -> None:
+    """As pandas names columns from 0: the command line took 1 for the name, Python for the number."""
+    path = tmp_path / "a.parquet"
+    Frame(np.arange(6.0).reshape(2, 3)).to_parquet(path)
+    for column in (1, "1"):
+        with pytest.raises(InputError) as error:
+            read_table(path, [column])
+        assert str(error.value) == (
+            f"'a.parquet': expected a column, found that {column!r} may be column 1, named '0', or column 2, named "
+            "'1': rename the columns in words"
+        )
+    assert read_table(path, ["0", 3]).to_numpy().tolist() == [[0, 2], [3, 5]]
+    assert read_table(path, ["1", "2"], known=["1", "2"]).to_numpy().tolist() == [[1, 2], [4, 5]]
+    Frame(np.arange(2.0)[:, None], columns=["7"]).to_parquet(path)
+    assert read_table(path, ["7"])["7"].tolist() == read_table(path, [1])["7"].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("suffix", ["mat", "npz", "h5"])
@@ -404,6 +516,14 @@ def test_the_length_is_the_longest_that_two_columns_share(tmp_path: Path) -> Non
     assert list(read_table(tmp_path / "a.npz").columns) == ["u", "y"]
     with pytest.raises(InputError, match="columns differ in length: 'u' has 5 samples, 'scratch' has 9"):
         read_table(tmp_path / "a.npz", ["u", "scratch"])
+
+
+def test_scalars_are_no_samples_beside_a_signal(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"y": np.arange(5.0), "Ts": 0.1, "gain": 2.0})
+    assert read_table(tmp_path / "a.mat")["y"].tolist() == [0, 1, 2, 3, 4]
+    assert read_table(tmp_path / "a.mat", ["Ts"])["Ts"].tolist() == [0.1]
+    savemat(tmp_path / "a.mat", {"Ts": 0.1, "gain": 2.0})
+    assert read_table(tmp_path / "a.mat").to_numpy().tolist() == [[0.1, 2]]
 
 
 def test_matlab_s_own_hdf5_is_read_by_columns_and_without_its_insides(tmp_path: Path) -> None:

@@ -167,6 +167,13 @@ def test_a_column_of_dates_is_the_time_whatever_its_name() -> None:
     assert len(named.guesses) == 1
 
 
+def test_elapsed_times_are_the_time_and_no_dates(tmp_path: Path) -> None:
+    frame = pd.DataFrame(np.random.default_rng(0).standard_normal((150, 2)), columns=["u", "y"])
+    frame.assign(run=pd.to_timedelta(0.1 * np.arange(150), unit="s")).to_parquet(tmp_path / "a.parquet")
+    seen = examine_files([str(tmp_path / "a.parquet")], {})
+    assert (seen.roles.time, seen.roles.inputs, seen.found.clock.Ts) == ("run", ("u",), pytest.approx(0.1))
+
+
 def test_dates_in_text_may_be_the_time_and_are_said_to_be_dates() -> None:
     frame = table("u", "y", when=pd.Series(["2024-01-31T12:00:00.5", "2024-01-31 12:00:01"], dtype=object))
     frame["note"] = pd.Series(["2024-01-31", "late"], dtype=object)
@@ -174,7 +181,7 @@ def test_dates_in_text_may_be_the_time_and_are_said_to_be_dates() -> None:
     told = assign_roles(frame, {"Ts": 1.0})
     assert (told.inputs, told.outputs, told.time) == (("u",), ("y",), None)
     assert told.guesses[:2] == (
-        "Left out, since they hold dates: when: --time takes one for the time.",
+        "Left out, since they hold dates or elapsed times: when: --time takes one for the time.",
         "Left out, since they hold no numbers: note.",
     )
 

@@ -141,6 +141,25 @@ def test_a_time_that_rises_at_most_steps_alone_is_refused(model: TrainedModel, t
         assert len(read_record(model, tmp_path / "new.csv", Ts=0.5)) == 16
 
 
+def test_a_channel_named_by_digits_is_found_by_its_name(tmp_path: Path) -> None:
+    """It was told before, and is the number of no other column."""
+    content = pd.DataFrame(np.arange(24.0).reshape(8, 3), columns=["0", "1", "2"])
+    content.to_parquet(tmp_path / "new.parquet")
+    numbered: Any = SimpleNamespace(channels=Channels(("1",), ("2",), ("–",), ("–",)), Ts=0.5, init_window=1)
+    for Ts in (None, 0.5):
+        record = read_record(numbered, tmp_path / "new.parquet", Ts=Ts)
+        assert (record.u[0, 0], record.y[0, 0]) == (1, 2)
+
+
+def test_elapsed_times_are_the_time_of_the_file(model: TrainedModel, tmp_path: Path) -> None:
+    clock = pd.to_timedelta(0.5 * np.arange(8) + 3, unit="s")
+    table().rename(columns={"t": "index"}).assign(run=clock).to_parquet(tmp_path / "new.parquet")
+    for time in ("run", None):
+        t = read_start(model, tmp_path / "new.parquet", time=time).t
+        assert t is not None
+        np.testing.assert_allclose(t, 0.5 * np.arange(8) + 3)
+
+
 def test_what_is_no_rising_time_or_a_channel_is_passed_over(model: TrainedModel, tmp_path: Path) -> None:
     new = tmp_path / "new.csv"
     for column in (
