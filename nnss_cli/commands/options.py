@@ -232,6 +232,9 @@ FIT_OPTIONS: dict[str, Any] = {
     "integrator": _training(
         str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."
     ),
+    "lengthen": _training(
+        str, "--lengthen", "auto|yes|no", "Begin on windows of 20, 60, 200 samples: for plants that ring."
+    ),
     "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
     "judge": _training(
         str, "--judge", "validation|blocks", "What candidates are compared on; blocks: of training and validation both."

@@ -86,7 +86,7 @@ class NNSS(Method):
 
         named = str(settings["stability"])
         return (
-            {"gain": 0.0, "judge": "validation", "threads": 1, "encoder_window": 1}
+            {"gain": 0.0, "judge": "validation", "threads": 1, "encoder_window": 1, "lengthen": "no"}
             | settings
             | {"stability": FORMERLY.get(named, named)}
         )

@@ -32,6 +32,7 @@ ALTERNATIVES = {
     "integrator": "integrator",
     "both": "integrator and feedthrough",
     "scheduling": "scheduling on u",
+    "lengthen": "windows that lengthen",
     "stability": "incremental layer",
     "cascade": "incremental layer from a cascade",
     "initial": "cold start",
@@ -43,10 +44,10 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
 
     A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, both
-    together where both are (the input may show at once in what is summed up), an incrementally stable layer where the
-    first stage is all there is and its weights do not outnumber the measured outputs, a deep cold model where the
-    generator's do. A layer of few weights is ahead on a short beginning of a record, and may be behind on all of it, so
-    that on longer ones it is tried from a cascade alone, which must be ahead by far.
+    together where both are (the input may show at once in what is summed up), windows that lengthen, an incrementally
+    stable layer where the first stage is all there is and its weights do not outnumber the measured outputs, a deep
+    cold model where the generator's do. A layer of few weights is ahead on a short beginning of a record, and may be
+    behind on all of it, so that on longer ones it is tried from a cascade alone, which must be ahead by far.
 
     Args:
         data: physical units.
@@ -71,6 +72,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
         ),
         "both": lambda: {"feedthrough", "integrator"} <= set(found),
         "scheduling": lambda: True,
+        "lengthen": lambda: True,
         "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
         "cascade": lambda: staged and order >= 2,
         "initial": lambda: weights({}) > known,

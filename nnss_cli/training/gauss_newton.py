@@ -37,7 +37,8 @@ def gauss_newton(
     fixed_encoder: bool = False,
     integrator: bool = False,
     threads: int = 1,
-) -> None:
+    begin: FloatArray | None = None,
+) -> list[FloatArray]:
     """Train the weights in `engine`.
 
     Args:
@@ -50,6 +51,10 @@ def gauss_newton(
         fixed_encoder: leave the encoder as it is.
         integrator: whether the initial states end with the first outputs, which are then free as well.
         threads: 2 for derivatives that are found while others are summed up; the numbers are the same.
+        begin: x(0) of each window (N, n) to begin from, without an integrator's; the encoder's guess where it is None.
+
+    Returns:
+        States of each window (L, n) after the last step taken; none where none was.
     """
     weights = engine.weights()
     vector = np.concatenate([array.ravel() for array in weights.values()]).astype(np.float64)
@@ -64,9 +69,12 @@ def gauss_newton(
     E, e0 = encoder_map(layers, layers[0][0].shape[1])[-1]
     W = encoder_window
     x0 = np.array([seen_windows(a[:W], b[:W], W)[0] for a, b in zip(u, y, strict=True)]) @ E.T + e0
+    if begin is not None:
+        x0 = begin
     if integrator:
         x0 = np.concatenate([x0, [window[0] for window in y]], axis=1)
 
+    last: list[FloatArray] = []
     errors = sum(window.size for window in y)
     every = max(1, errors // (ERRORS_A_PARAMETER * (p + x0.size)))
 
@@ -80,15 +88,16 @@ def gauss_newton(
         return equations, np.concatenate(states)
 
     def accepted(_: FloatArray, loss: float, x: FloatArray) -> bool:
+        unscored = (sum(len(window) for window in y) - len(x)) // len(y)
+        inputs, outputs = ([window[unscored:] for window in signal] for signal in (u, y))
+        last[:] = np.split(x, np.cumsum([len(window) for window in outputs])[:-1])
         if not fixed_encoder and np.isfinite(loss):
-            unscored = (sum(len(window) for window in y) - len(x)) // len(y)
-            inputs, outputs = ([window[unscored:] for window in signal] for signal in (u, y))
-            ends = np.cumsum([len(window) for window in outputs])
-            fit_encoder(layers, inputs, outputs, np.split(x, ends[:-1]), W)
+            fit_encoder(layers, inputs, outputs, last, W)
         engine.place(vector)
         return goes_on(loss)
 
     levenberg_marquardt(evaluate, np.concatenate([vector[:p], x0.ravel()]), iterations, accepted)
+    return last
 
 
 def ahead(items: Iterator[Item]) -> Iterator[Item]:

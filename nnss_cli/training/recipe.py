@@ -43,6 +43,9 @@ class Recipe:
     """Whether there is a D(ρ)u: yes, no as in the paper, or auto, where validation decides."""
     integrator: str = "no"
     """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
+    lengthen: str = "no"
+    """Whether Gauss–Newton on whole records begins on short windows that lengthen: yes, no, or auto (validation
+    decides)."""
     gamma: float = 1.0
     """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together."""
     gain: float = 0.0
@@ -109,13 +112,18 @@ class Recipe:
             )
         if self.judge not in JUDGES:
             raise unknown("judge", self.judge, JUDGES)
-        for name in ("feedthrough", "integrator"):
+        for name in ("feedthrough", "integrator", "lengthen"):
             if getattr(self, name) not in CHOICES:
                 raise unknown(name, getattr(self, name), CHOICES)
         if self.integrator == "yes" and not self.integrates:
             raise InputError(
                 f"integrator: the fast engine trains one by gauss-newton alone, found optimiser {self.optimiser}"
                 f"{' and refine' * (self.refine > 0)}: take gauss-newton, or --engine reference"
+            )
+        if self.lengthen == "yes" and not self.lengthens:
+            raise InputError(
+                "lengthen: expected gauss-newton on whole records (--optimiser gauss-newton --window 0) and no output "
+                f"that schedules, found {self.optimiser}, window {self.window} and scheduling {self.scheduling}"
             )
         if self.gain and self.stability != "incremental":
             raise InputError(
@@ -145,6 +153,11 @@ class Recipe:
     def integrates(self) -> bool:
         """Whether this optimiser and engine can train an integrator."""
         return self.engine == "reference" or (self.optimiser == "gauss-newton" and self.refine == 0)
+
+    @property
+    def lengthens(self) -> bool:
+        """Whether there are whole records that windows can lengthen to, whose states are all there."""
+        return self.optimiser == "gauss-newton" and self.window == 0 and "y" not in self.scheduling
 
     def architecture(self, order: int, inputs: int, outputs: int) -> Architecture:
         """The model that this recipe trains; the simplest where something is auto.
@@ -200,6 +213,7 @@ class Recipe:
         """The first candidate: where something is auto, the paper's structure, and the feedback start."""
         plain = {
             "feedthrough": "no", "integrator": "no", "scheduling": "x", "stability": "schur", "initial": "feedback",
+            "lengthen": "no",
         }  # fmt: skip
         return self.replace(**{name: value for name, value in plain.items() if getattr(self, name) == "auto"})
 
@@ -216,12 +230,15 @@ class Recipe:
             "integrator": {"integrator": "yes"},
             "both": {"feedthrough": "yes", "integrator": "yes"},
             "scheduling": {"scheduling": "x+u"},
+            "lengthen": {"lengthen": "yes"},
             "stability": {"stability": "incremental", "hidden": layer},
             "cascade": {"stability": "incremental", "hidden": layer, "initial": "cascade"},
-            "initial": {**_COLD, "window": window, "stability": self.simplest().stability},
+            "initial": {**_COLD, "lengthen": "no", "window": window, "stability": self.simplest().stability},
         }
         if len(self.hidden) > 1 or "y" in self.scheduling or self.optimiser != "gauss-newton":
             del found["stability"], found["cascade"]  # one layer, no output that schedules, and no second run of Adam
+        if not self.lengthens:
+            del found["lengthen"]
         if self.stability == "incremental" or self.encoder_window >= window:
             del found["initial"]  # its generator is deep, and its windows must go on where the encoder's end
         if self.gain:

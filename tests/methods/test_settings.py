@@ -39,8 +39,8 @@ def settings_of_all() -> dict[str, dict[str, Any]]:
 def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
-    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge`, `threads` and `encoder_window` were
-    added; `initial` and `stability` of best became auto.
+    Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge`, `threads`, `encoder_window` and
+    `lengthen` were added; `initial` and `stability` of best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
@@ -50,7 +50,7 @@ CHANGED = {
     "integrator": "auto", "gamma": 0.9, "epsilon": 1e-3, "dtype": "float64", "window": 40, "stride": 3, "batch": 7,
     "learning_rate": 0.01, "consistency": 0.5, "epochs": 7, "patience": 9, "patience_unit": "epochs",
     "improvement": 0.1, "optimiser": "lbfgs", "lead": 10, "refine": 3, "initial": "linear", "fixed_encoder": True,
-    "budget": 60.0, "judge": "blocks",
+    "budget": 60.0, "judge": "blocks", "lengthen": "auto",
 }  # fmt: skip
 
 
