@@ -60,10 +60,15 @@ def _file(value: object) -> str:
     return _text(os.fspath(value) if isinstance(value, os.PathLike) else value)
 
 
+def _integer(value: object) -> int | None:
+    """NumPy's too; None for what is none, as true and false are."""
+    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+
+
 def _whole(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, Integral) or not 1 <= value < 2**31:
+    if (number := _integer(value)) is None or not 1 <= number < 2**31:
         raise TypeError("a whole number from 1 on")
-    return int(value)
+    return number
 
 
 def _seconds(value: object) -> float:
@@ -79,8 +84,8 @@ def _seconds(value: object) -> float:
 def _column(value: object) -> Column:
     if isinstance(value, str) and value:
         return _text(value)
-    if isinstance(value, Integral) and not isinstance(value, bool) and value >= 1:
-        return int(value)
+    if (number := _integer(value)) is not None and number >= 1:
+        return number
     raise TypeError("a name, or a number from 1")
 
 

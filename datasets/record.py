@@ -36,7 +36,7 @@ def as_floats(name: str, values: Any) -> FloatArray:
         InputError: they are complex, dates, durations or no numbers at all.
     """
     if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(np.float64).filled(np.nan)
+        values = np.ma.filled(values.astype(np.float64), np.nan)
     try:
         kind = np.asarray(values).dtype.kind
         array = np.zeros(0) if kind in NO_NUMBERS else np.array(values, dtype=np.float64)

@@ -68,7 +68,7 @@ def gauss_newton(
             layers.append((vector[bias - array.size : bias].reshape(array.shape), vector[bias:at]))
     E, e0 = encoder_map(layers, layers[0][0].shape[1])[-1]
     W = encoder_window
-    x0 = np.array([seen_windows(a[:W], b[:W], W)[0] for a, b in zip(u, y, strict=True)]) @ E.T + e0
+    x0: FloatArray = np.array([seen_windows(a[:W], b[:W], W)[0] for a, b in zip(u, y, strict=True)]) @ E.T + e0
     if begin is not None:
         x0 = begin
     if integrator:
