@@ -149,6 +149,13 @@ def test_a_table_is_no_file() -> None:
             nnss_cli.fit(data, 2)
 
 
+@pytest.mark.parametrize("none", [[], ()])
+def test_no_files_are_one_line(none: object) -> None:
+    for call in (nnss_cli.inspect, lambda files: nnss_cli.fit(files, 2, inputs="u", outputs="y", Ts=0.1)):
+        with pytest.raises(InputError, match="^data: expected a benchmark's name or files, found none$"):
+            call(none)
+
+
 def test_a_dataset_has_it_all() -> None:
     with pytest.raises(InputError, match="Ts: expected for a benchmark or files"):
         nnss_cli.fit(small_dataset(), 2, Ts=0.1)

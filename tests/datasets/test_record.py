@@ -37,6 +37,22 @@ def test_bad_signals_are_refused_by_name(u: np.ndarray, y: np.ndarray, Ts: float
         Record(u, y, Ts)
 
 
+@pytest.mark.parametrize(
+    ("y", "told"),
+    [
+        (np.ma.masked_equal([1.0, 9.0], 9.0), "y: sample 1 of channel 0 is nan"),
+        (np.zeros(2, complex), "y: expected real numbers, found complex ones"),
+        (np.zeros(2, "M8[s]"), "y: expected real numbers, found dates"),
+        (np.zeros(2, "m8[s]"), "y: expected real numbers, found durations"),
+        (["a", "b"], "y: expected numbers"),
+    ],
+)
+def test_what_is_no_measurement_is_no_signal(y: object, told: str) -> None:
+    """NumPy makes floats of them without a word: what a mask hides, real parts, ticks of a clock."""
+    with pytest.raises(InputError, match=told):
+        Record(np.zeros(2), y, 0.1)
+
+
 def test_scaling_is_a_z_score_with_ddof_1_and_leaves_constant_channels_finite() -> None:
     random = np.random.default_rng(0)
     record = Record(
