@@ -105,14 +105,14 @@ def find_column(table: pd.DataFrame, column: str | int, known: Collection[str] =
     """
     names = [str(name) for name in table.columns]
     source = table.attrs.get("source", "table")
-    if column not in known:
-        _check_unambiguous(names, column, source)
+    number = _number_of_column(column)
+    if number is not None and column not in known:
+        _check_unambiguous(names, column, number, source)
     if isinstance(column, str) and column in names:
         return column
     left_out = table.attrs.get("left out", {})
     if column in left_out:
         raise InputError(f"'{source}': '{column}' cannot be a column: {left_out[column]}")
-    number = _number_of_column(column)
     if number is None:
         near = nearest(str(column), names, 0.5)
         hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names[:20])}{', …' * (len(names) > 20)}"
@@ -122,13 +122,10 @@ def find_column(table: pd.DataFrame, column: str | int, known: Collection[str] =
     return names[number - 1]
 
 
-def _check_unambiguous(names: Sequence[str], column: str | int, source: str) -> None:
+def _check_unambiguous(names: Sequence[str], column: str | int, number: int, source: str) -> None:
     """Refuse digits that are the name of one column and the number of another: a user may mean either."""
-    number = _number_of_column(column)
-    if number is None or str(column) not in names or not 1 <= number <= len(names):
-        return
-    named = names.index(str(column)) + 1
-    if named != number:
+    name = str(column)
+    if name in names and 1 <= number <= len(names) and (named := names.index(name) + 1) != number:
         raise InputError(
             f"'{source}': expected a column, found that {shown(column)} may be column {number}, named "
             f"'{names[number - 1]}', or column {named}, named '{column}': rename the columns in words"
@@ -252,9 +249,19 @@ def steady_times(table: pd.DataFrame, name: str) -> FloatArray:
     """A column's `times`, of one clock.
 
     Raises:
-        InputError: as `times`; there is a `clock_change`; or dates do not grow, which are named as they stand.
+        InputError: as `times` and `check_clock`.
     """
     t = times(table, name)
+    check_clock(table, name, t)
+    return t
+
+
+def check_clock(table: pd.DataFrame, name: str, t: FloatArray) -> None:
+    """Refuse the `times` t of a column that are not of one clock.
+
+    Raises:
+        InputError: there is a `clock_change`; or dates do not grow, which are named as they stand.
+    """
     if change := clock_change(table, name, t):
         raise InputError(change)
     back = np.flatnonzero(np.diff(t) <= 0)
@@ -264,7 +271,6 @@ def steady_times(table: pd.DataFrame, name: str) -> FloatArray:
             f"{place(table, int(back[0]) + 1)}, column '{name}': time goes from {before.isoformat()} to "
             f"{after.isoformat()}: expected it to grow; sort or cut the rows"
         )
-    return t
 
 
 def time_note(table: pd.DataFrame, name: str) -> str:

@@ -38,13 +38,12 @@ def as_floats(name: str, values: Any) -> FloatArray:
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
     try:
-        kind = np.asarray(values).dtype.kind
-        array = np.zeros(0) if kind in NO_NUMBERS else np.array(values, dtype=np.float64)
+        array = np.asarray(values)
+        if array.dtype.kind not in NO_NUMBERS:
+            return array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: expected numbers: {error}") from error
-    if kind in NO_NUMBERS:
-        raise InputError(f"{name}: expected real numbers, found {NO_NUMBERS[kind]}")
-    return array
+    raise InputError(f"{name}: expected real numbers, found {NO_NUMBERS[array.dtype.kind]}")
 
 
 def _signal(name: str, values: ArrayLike) -> FloatArray:
@@ -204,12 +203,12 @@ def _mean_and_constant(values: FloatArray) -> tuple[FloatArray, NDArray[np.bool_
 
 def _mean_and_deviation(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean, constant = _mean_and_constant(values)
-    lowest, highest = values.min(axis=0), values.max(axis=0)
     freedom = 1 if len(values) > 1 else 0
     deviation = values.std(axis=0, ddof=freedom)
     lost = ~constant & (deviation == 0)  # squares of samples below 1e-162 underflow: their unit is the range
     if lost.any():
-        span = np.where(lost, highest - lowest, 1.0)
+        lowest = values.min(axis=0)
+        span = np.where(lost, values.max(axis=0) - lowest, 1.0)
         deviation = np.where(lost, span * ((values - lowest) / span).std(axis=0, ddof=freedom), deviation)
     return mean, np.where(constant | (deviation == 0), 1.0, deviation)
 

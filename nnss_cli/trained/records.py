@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nnss_cli.datasets.formats import (
-    clock_change,
+    check_clock,
     guess_time,
     holds_dates,
     numbers,
@@ -181,8 +181,7 @@ def _columns(
     elif Ts is None and (rising := _rising_time(table, names)) is not None:
         clock, t = rising
         try:
-            if change := clock_change(table, clock, t):
-                raise InputError(change)
+            check_clock(table, clock, t)
             found = uniform_Ts(t, lambda k: f"{place(table, k)}, column '{clock}'", at_its_own)
             check_agreement(model.Ts, found, f"'{path.name}', column '{clock}', against the model", at_its_own)
         except InputError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -158,18 +158,30 @@ class Attempt:
 
     def gauss_newton(self, u: Sequence[FloatArray], y: Sequence[FloatArray], iterations: int) -> None:
         """Gauss–Newton iterations from the weights as they are, of windows u (L, r), y (L, m)."""
-        a, begin = self.model.architecture, None
-        if self.recipe.lengthen == "yes" and self.samples == 0 and self.start != "cascade":
-            begin = self.lengthen()
-        if self.start == "cascade" and not a.integrator:
+        watch, cascade = self.watch, self.start == "cascade"
+        if cascade and not self.model.architecture.integrator:
             train_cascade(
-                self.model, self.watch.engine, u, y, iterations, self.watch.goes_on, self.recipe.fixed_encoder,
+                self.model, watch.engine, u, y, iterations, watch.goes_on, self.recipe.fixed_encoder,
                 self.recipe.threads,
             )  # fmt: skip
             return
-        gauss_newton(
-            self.watch.engine, u, y, iterations, self.watch.goes_on, a.encoder_window, self.recipe.fixed_encoder,
-            a.integrator, self.recipe.threads, begin,
+        begin = self.lengthen() if self.recipe.lengthen == "yes" and self.samples == 0 and not cascade else None
+        self._descend(watch.engine, u, y, iterations, watch.goes_on, begin)
+
+    def _descend(
+        self,
+        engine: Engine,
+        u: Sequence[FloatArray],
+        y: Sequence[FloatArray],
+        iterations: int,
+        goes_on: Callable[[float], bool],
+        begin: FloatArray | None,
+    ) -> list[FloatArray]:
+        """`nnss_cli.training.gauss_newton.gauss_newton` as the recipe has it."""
+        a, recipe = self.model.architecture, self.recipe
+        return gauss_newton(
+            engine, u, y, iterations, goes_on, a.encoder_window, recipe.fixed_encoder, a.integrator, recipe.threads,
+            begin,
         )  # fmt: skip
 
     def lengthen(self) -> FloatArray | None:
@@ -183,28 +195,25 @@ class Attempt:
         Returns:
             None where no window fits twice into the shortest record, or no step lowered an error.
         """
-        recipe, watch, a = self.recipe, self.watch, self.model.architecture
-        records = watch.records
-        paths: list[FloatArray] = []
+        watch, records = self.watch, self.watch.records
+
+        def goes_on(loss: float) -> bool:
+            return math.isfinite(loss) and not watch.clock.up
+
+        paths: list[FloatArray] = []  # states of each record, as far as whole windows go
         for L, iterations in LENGTHS:
-            if min(map(len, records)) < 2 * L or a.encoder_window >= L:
+            if min(map(len, records)) < 2 * L or self.model.architecture.encoder_window >= L:
                 continue
             u, y = sliding_windows(records, L, L)
-            engine = build_engine(self.model, u, y, recipe)
+            engine = build_engine(self.model, u, y, self.recipe)
             engine.place(_vector(watch.engine.weights()))
-            begin = np.concatenate([path[: len(path) - L + 1 : L] for path in paths]) if paths else None
-
-            def goes_on(loss: float) -> bool:
-                return math.isfinite(loss) and not watch.clock.up
-
-            states = gauss_newton(
-                engine, u, y, iterations, goes_on, a.encoder_window, recipe.fixed_encoder, a.integrator, recipe.threads,
-                begin,
-            )  # fmt: skip
+            begins = [path[: len(record) - L + 1 : L] for path, record in zip(paths, records, strict=False)]
+            states = self._descend(engine, u, y, iterations, goes_on, np.concatenate(begins) if begins else None)
             if not states:
                 break
             watch.engine.place(_vector(engine.weights()))
-            paths = _joined(states, [len(record) // L for record in records], [len(record) for record in records])
+            ends = np.cumsum([len(record) // L * L for record in records])
+            paths = np.split(np.concatenate(states), ends[:-1])
         return np.array([path[0] for path in paths]) if paths else None
 
     def training(self, further: tuple[str, ...], candidates: dict[str, float], judged_by: str) -> Training:
@@ -231,16 +240,6 @@ class Attempt:
             candidates,
             judged_by,
         )
-
-
-def _joined(windows: list[FloatArray], counts: list[int], lengths: list[int]) -> list[FloatArray]:
-    """States of each record (K, n) from those of its windows; after the last one they stay where they are."""
-    paths, at = [], 0
-    for count, K in zip(counts, lengths, strict=True):
-        path = np.concatenate(windows[at : at + count])
-        paths.append(np.concatenate([path, np.repeat(path[-1:], K - len(path), axis=0)]))
-        at += count
-    return paths
 
 
 class Watch:
