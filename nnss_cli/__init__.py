@@ -16,6 +16,7 @@ from nnss_cli.version import __version__
 if TYPE_CHECKING:
     from nnss_cli.api import Study, compare, fit, inspect
     from nnss_cli.datasets.record import Dataset, Record
+    from nnss_cli.errors import InputError
     from nnss_cli.trained import TrainedModel, load
 
 _HOME = {
@@ -25,12 +26,24 @@ _HOME = {
     "Study": "nnss_cli.api",
     "Dataset": "nnss_cli.datasets.record",
     "Record": "nnss_cli.datasets.record",
+    "InputError": "nnss_cli.errors",
     "TrainedModel": "nnss_cli.trained",
     "load": "nnss_cli.trained",
 }
 """Where a public name is, which is imported when it is asked for."""
 
-__all__ = ["Dataset", "Record", "Study", "TrainedModel", "__version__", "compare", "fit", "inspect", "load"]
+__all__ = [
+    "Dataset",
+    "InputError",
+    "Record",
+    "Study",
+    "TrainedModel",
+    "__version__",
+    "compare",
+    "fit",
+    "inspect",
+    "load",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,7 @@ From version 3 on an NN-SS model keeps how far off its encoder's guesses are, an
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -64,6 +65,10 @@ def read_model(folder: Path) -> tuple[dict[str, Any], Tensors]:
     description = _read_description(folder)
     for name in ("format", "training"):  # no business of the kind of model
         description.pop(name, None)
+    Ts = description.get("Ts", 1.0)
+    if not isinstance(Ts, int | float) or isinstance(Ts, bool) or not 0 < Ts < math.inf:
+        path = folder / "model.json"
+        raise InputError(f"'{path}': Ts: expected seconds above 0, found {Ts!r:.60}; train it again")
     return description, read_tensors(folder / "model.safetensors")
 
 
@@ -114,6 +119,8 @@ def require_arrays(tensors: Tensors, expected: Mapping[str, tuple[tuple[int, ...
             raise ValueError(f"{name}: expected {kind} {shape}, found {array.dtype} {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError(f"{name}: expected finite numbers")
+        if name in ("u_std", "y_std") and not (array > 0).all():
+            raise ValueError(f"{name}: expected deviations above 0, found {array.min():g}")
 
 
 def scaling_arrays(inputs: int, outputs: int) -> dict[str, tuple[tuple[int, ...], str]]:

@@ -218,8 +218,10 @@ def load(path: str | Path) -> TrainedModel:
 
     Raises:
         InputError: there is none, there are several (they are listed), it is damaged, of a later version of nnss, or
-            of a kind that needs a plug-in.
+            of a kind that needs a plug-in; or the path is none.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"model: expected the path of a folder, found {path!r:.60}")
     folder = _folder_of_model(Path(path))
     return TrainedModel(load_model(folder), folder, read_origin(folder))
 

@@ -159,3 +159,8 @@ def test_damaged_model_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text("{")
     with pytest.raises(InputError, match="model.json"):
         load_model(tmp_path)
+    description, arrays = model.to_file()
+    for name in ("u_std", "y_std"):
+        write_model(tmp_path, description, arrays | {name: 0 * arrays[name]})
+        with pytest.raises(InputError, match=f"{name}: expected deviations above 0, found 0"):
+            load_model(tmp_path)

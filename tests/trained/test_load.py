@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -209,6 +210,19 @@ def changed(folder: Path, tmp_path: Path, **changes: object) -> Path:
     content = json.loads((copy / "model.json").read_text()) | changes
     (copy / "model.json").write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
     return copy
+
+
+@pytest.mark.parametrize("Ts", [-1, 0, float("nan"), float("inf"), 1e-400, "0.1", True])
+def test_a_sampling_time_that_is_none_is_damage(Ts: object, trained_folder: Callable, tmp_path: Path) -> None:
+    """A simulation would write it as its clock."""
+    with pytest.raises(InputError, match=r"model.json': Ts: expected seconds above 0, found .*; train it again$"):
+        load(changed(trained_folder(), tmp_path, Ts=Ts))
+
+
+@pytest.mark.parametrize("path", [3, None, ["a"]])
+def test_what_is_no_path_holds_no_model(path: Any) -> None:
+    with pytest.raises(InputError, match="^model: expected the path of a folder, found "):
+        load(path)
 
 
 def test_a_model_alone_knows_where_it_comes_from(trained_folder: Callable[..., Path], tmp_path: Path) -> None:
