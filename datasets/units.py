@@ -52,6 +52,11 @@ def unit_in(name: str) -> str:
     return NO_UNIT
 
 
+def without_unit(name: str) -> str:
+    """A column's name without the unit that `unit_in` finds at its end."""
+    return name if unit_in(name) == NO_UNIT else re.split(r"\s*[\[(]", name)[0]
+
+
 def time_unit_in(name: str) -> str:
     """The unit at the end of a time column's name, as "t [ms]", "Time (min)", "time_ms", "timeMs" or "t/h", or in
     "ms_since_start".

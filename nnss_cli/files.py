@@ -8,7 +8,7 @@ import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from functools import cache
@@ -20,6 +20,8 @@ _TEMPORARY = re.compile(r"\.tmp-(?:(?P<host>[A-Za-z0-9_]*)-(?P<process>\d+)-)?\w
 _OLD = 24 * 3600.0  # seconds after which a temporary file of whom nobody knows is nobody's
 
 
+BINARY = (".xlsx", ".xls", ".ods", ".parquet", ".mat", ".npz", ".npy", ".h5", ".hdf5", ".feather")
+"""Ends of names that promise another format than text."""
 _GATHERED: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("gathered", default=None)
 """Temporary neighbour and place of each file that waits for others (`together`)."""
 
@@ -126,30 +128,54 @@ def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def places(out: Path | None, usual: str, *beside: str, force: bool = False) -> list[Path]:
-    """Where a file and those beside it go, so that nothing is replaced unasked.
+def places(
+    out: Path | None, usual: str, *beside: str, force: bool = False, read: Sequence[Path | None] = ()
+) -> list[Path]:
+    """Where a file and those beside it go, so that nothing is replaced unasked, and never what was read.
 
     Args:
         out: the file that is asked for; None for the usual one, which gets a number where it is there already.
         usual: its name.
         beside: suffixes of further files of the same name.
         force: replace what is there.
+        read: files that the results are of.
 
     Raises:
-        InputError: a file that is asked for is there already, or is the one beside it.
+        InputError: a file that is asked for is there already, is the one beside it, is among those read, or its name is
+            another format's.
     """
     first = Path(usual) if out is None else out
+    if first.suffix.lower() in BINARY:
+        raise InputError(f"--out: expected a name for CSV text, found '{first}': end it in .csv")
     if first.suffix in beside:
         raise InputError(f"--out: expected a name for the table, '{first}' is the figure's beside it: end it in .csv")
     for number in itertools.count(1):
         named = first.with_stem(f"{first.stem}-{number}") if number > 1 else first
         found = [named, *(named.with_suffix(suffix) for suffix in beside)]
         taken = [] if force else [path for path in found if path.exists()]
+        for path in found:
+            refuse_to_replace(path, read, "--out")
         if not taken:
             break
         if out is not None:
             raise InputError(f"'{taken[0]}' exists already: name another file with --out, or --force to replace it")
     return found
+
+
+def refuse_to_replace(path: Path, read: Sequence[Path | None], option: str) -> None:
+    """Keep a record from the results that are made of it: a measurement is gone when it is overwritten, forced or not.
+
+    Args:
+        path: where results are to go.
+        read: files that they are of; None for one that was not given.
+        option: that names `path`.
+
+    Raises:
+        InputError: it is among them.
+    """
+    for source in read:
+        if source is not None and path.exists() and source.exists() and path.samefile(source):
+            raise InputError(f"{option}: '{path}' is what is read: expected another file, so that it is not lost")
 
 
 def free_space(folder: Path) -> str:

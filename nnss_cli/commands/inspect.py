@@ -36,7 +36,7 @@ def command(
     from nnss_cli.errors import InputError
     from nnss_cli.experiment.inspection_files import examine_files, suggested
     from nnss_cli.experiment.inspection_order import HOW_GUESSED
-    from nnss_cli.files import require_writable, write_text
+    from nnss_cli.files import refuse_to_replace, require_writable, write_text
     from nnss_cli.report.figures import save_figure
     from nnss_cli.report.inspection import (
         channel_rows,
@@ -51,6 +51,8 @@ def command(
 
     if write is not None and write.exists() and not force:
         raise InputError(f"'{write}' exists already: name another file with --write, or --force to replace it")
+    if write is not None:
+        refuse_to_replace(write, [Path(name) for name in files], "--write")
     seen = examine_files(files, own or {})
     description = None if write is None else suggested(seen, files, own or {}, write)
     if as_json:

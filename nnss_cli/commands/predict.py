@@ -55,7 +55,7 @@ def command(
     trained = load(model)
     record, t = read_timed(trained, file, time=time, Ts=Ts, sheet=sheet)
     given = None if data is None else read_record(trained, data, Ts=Ts, sheet=sheet)
-    written = places(out, "predicted.csv", *[".png"] * plot, force=force)
+    written = places(out, "predicted.csv", *[".png"] * plot, force=force, read=(file, data))
     predictor = forecaster(trained, given, guard)
     found = predict_record(predictor, record, horizon, interval, interval_by or "residuals")
     require_writable(written[0].parent)

@@ -48,7 +48,7 @@ def command(
         refuse_without("--interval", {"--interval-by": interval_by, "--data": data})
     trained = load(model)
     found = simulate_file(trained, file, start, time=time, Ts=Ts, sheet=sheet)
-    written = places(out, "predicted.csv", *[".png"] * plot, force=force)
+    written = places(out, "predicted.csv", *[".png"] * plot, force=force, read=(file, data))
     limits = None
     if interval is not None:
         from nnss_cli.validation.trained import simulation_limits
@@ -65,10 +65,10 @@ def command(
 
         print_rows(error_rows(found.scores, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
         console.print(SIGMA_AND_FIT, highlight=False)
-    if start == "outputs":
+    if not found.from_rest or found.measured is not None:
         from nnss_cli.report.simulation import missing_lines
 
-        for line in missing_lines(found.measured, trained.channels, trained.init_window):
+        for line in missing_lines(found.measured, trained.channels, 0 if found.from_rest else trained.init_window):
             console.print(line, soft_wrap=True, highlight=False)
     try:
         beyond = beyond_training(trained.records().get("train", ()), trained.channels, found.u, found.y)
@@ -80,7 +80,8 @@ def command(
 
         print_rows(beyond_rows(beyond), f"{file.name}: beyond the training records no data speak for the model", 1)
     if limits is not None:
-        for line in limits.told(trained.channels):
+        calibrated = "The band is that of simulations from measured outputs; it holds where the plant was at rest."
+        for line in (*limits.told(trained.channels), *[calibrated] * found.from_rest):
             console.print(line, soft_wrap=True, highlight=False)
     if plot:
         from nnss_cli.report.figures import save_figure

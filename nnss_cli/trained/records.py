@@ -24,6 +24,7 @@ from nnss_cli.datasets.formats import (
 )
 from nnss_cli.datasets.preparation import check_agreement, check_complete, uniform_Ts
 from nnss_cli.datasets.record import FloatArray, Record, unscored
+from nnss_cli.datasets.units import NO_UNIT, unit_in, without_unit
 from nnss_cli.errors import InputError
 from nnss_cli.trained.model import TrainedModel
 
@@ -110,7 +111,7 @@ def read_start(
 ) -> Start:
     """A file's inputs for a simulation, and the first outputs, from which it starts.
 
-    Outputs beyond the model's init window may be missing.
+    Outputs beyond the model's init window may be missing; from rest all may be, the others are compared with.
 
     Args:
         model: tells the columns by its channels' names; other columns are ignored.
@@ -125,12 +126,19 @@ def read_start(
     """
     path = Path(path)
     inputs, w = model.channels.inputs, model.init_window
-    names = (*inputs, *model.channels.outputs) if outputs else inputs
-    values, table, t = _columns(model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs")
+    names = (*inputs, *model.channels.outputs)
+    try:
+        values, table, t = _columns(
+            model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs"
+        )
+    except InputError:
+        if outputs:
+            raise
+        values, table, t = _columns(model, path, inputs, time, Ts, sheet)
     u, y = values[:, : len(inputs)], values[:, len(inputs) :]
     check_complete(u, inputs, lambda k: place(table, k), FILL)
     if not outputs:
-        return Start(u, None, None, t)
+        return Start(u, None, y if np.isfinite(y).any() else None, t)
     _check_length(path, len(values), w, w)
     first = "fill them in in the file, cut these rows, or give --start rest, which needs no outputs"
     check_complete(y[:w], model.channels.outputs, lambda k: place(table, k), first)
@@ -162,7 +170,7 @@ def _columns(
             raise
         raise InputError(
             f"'{path.name}': expected the columns {', '.join(names)}, the model's channels, found "
-            f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: rename what stands for {', '.join(missing)}"
+            f"{', '.join(held[:20])}{', …' * (len(held) > 20)}: {_remedy(missing, held)}"
             + without_outputs * (not set(missing) & set(model.channels.inputs))
             + other_sheets(whole)
         ) from error
@@ -190,6 +198,19 @@ def _columns(
     if Ts is not None:
         check_agreement(model.Ts, Ts, f"'{path.name}' against the model", at_its_own)
     return values, table, t if clock is not None and tells_seconds(table[clock]) else None
+
+
+def _remedy(missing: Sequence[str], held: Sequence[str]) -> str:
+    """What to do about missing columns; one of the same name may be there in another unit, which a new name hides."""
+    of_another_unit = {without_unit(other): other for other in held if unit_in(other) != NO_UNIT}
+    converted = [
+        (other, name)
+        for name in missing
+        if (other := of_another_unit.get(without_unit(name))) and unit_in(name) not in (NO_UNIT, unit_in(other))
+    ]
+    told = [f"convert '{other}' to '{name}', in its values, too" for other, name in converted]
+    others = [name for name in missing if name not in dict(converted).values()]
+    return ", and ".join([*told, *[f"rename what stands for {', '.join(others)}"] * bool(others)])
 
 
 def _table(path: Path, channels: Sequence[str], time: str | int | None, sheet: str | int | None, whole: bool) -> Any:

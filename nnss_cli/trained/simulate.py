@@ -36,7 +36,10 @@ class Simulated:
     measured: FloatArray | None
     """Measured outputs (K, m), NaN where a sample is missing; None where all are, but for those of the start."""
     scores: tuple[Score, ...]
-    """Errors of each output over what was measured of it after the init window; none of one without."""
+    """Errors of each output over what was measured of it after the init window, from rest over all; none of one
+    without."""
+    from_rest: bool = False
+    """Whether it starts at the equilibrium under the first input, not from measured outputs."""
     t: FloatArray | None = None
     """Instants (K,) [s] as the file has them; None where no time column of numbers or elapsed times was read."""
 
@@ -120,16 +123,17 @@ def simulate_file(
     with np.errstate(over="ignore", invalid="ignore"):
         simulation = model.simulate(found.u, found.y_init)
     require_finite(f"'{Path(path).name}': the simulation", simulation.y)
+    rest = start == "rest"
     if found.y is None:
-        return Simulated(found.u, simulation.y, simulation.x, None, (), found.t)
-    begin = unscored(model.init_window)
+        return Simulated(found.u, simulation.y, simulation.x, None, (), rest, found.t)
+    begin = 0 if rest else unscored(model.init_window)
     whole = np.isfinite(found.y).all(axis=1)
     scaling = model.scaling or Scaling.of((Record(found.u[whole], found.y[whole], model.Ts),))
     scores: list[Score] = []
     for i, there in enumerate(np.isfinite(found.y[begin:]).T):
         if there.any():
             scores.append(score_outputs("file", [found.y[begin:][there]], [simulation.y[begin:][there]], scaling)[i])
-    return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores), found.t)
+    return Simulated(found.u, simulation.y, simulation.x, found.y, tuple(scores), rest, found.t)
 
 
 def require_finite(what: str, y: FloatArray) -> None:

@@ -199,6 +199,11 @@ def simulation_limits(
             "interval-by adaptive: expected predictions, which know the outputs up to then, found a simulation: use "
             "'nnss predict', or leave --interval-by out"
         )
+    if by == "ensemble" and found.from_rest:
+        raise InputError(
+            "interval-by ensemble: expected a simulation from measured outputs, found one from rest: leave --start or "
+            "--interval-by out"
+        )
     val = fitting_records(trained).val if data is None else (data,)
     band = simulation_band(trained, val, level, by)
     spread = None
@@ -207,7 +212,7 @@ def simulation_limits(
             raise InputError("interval-by ensemble: expected a file with all its outputs, found some missing")
         record = Record(found.u, found.measured, trained.Ts)
         spread = predicted_with_spread(trained, record, None, by)[1]
-    return Limits.of(band, found.y, spread, found.measured, trained.init_window)
+    return Limits.of(band, found.y, spread, found.measured, 0 if found.from_rest else trained.init_window)
 
 
 def simulation_band(trained: TrainedModel, val: Sequence[Record], level: float, scale: BandScale) -> Band:
@@ -269,6 +274,6 @@ def predicted_with_spread(
     if each.shape[1] < 2:
         raise InputError(
             "interval: a band that follows an ensemble's spread needs an ensemble of two members at least, found one "
-            "model: train nnss-ensemble, or leave --interval-by out"
+            "model: train nnss-ensemble of three seeds or more, or leave --interval-by out"
         )
     return predictor.together(each)[0], each[0].std(axis=0, ddof=1)

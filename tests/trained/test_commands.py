@@ -23,6 +23,7 @@ from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
 from nnss_cli.trained import TrainedModel, load
 from nnss_cli.trained.simulate import beyond_training, output_table, require_finite, simulate_file
+from nnss_cli.validation.trained import simulation_limits
 
 
 @pytest.fixture
@@ -136,6 +137,48 @@ def test_simulate_at_rest_needs_no_outputs(new: Path, nnss: Callable, trained_fo
     y = pd.read_csv("predicted.csv")["y1"]
     np.testing.assert_allclose(y, load(trained_folder()).equilibrium(0.7).y[0], rtol=1e-9)
     assert "RMSE" not in done.out
+    assert "compare" not in done.out
+
+
+def test_from_rest_all_outputs_that_are_there_are_compared_with(
+    new: Path, nnss: Callable, trained_folder: Callable[..., Path]
+) -> None:
+    """The first ones too, which tell nothing of the start then. A band is that of other starts, which is said."""
+    record, model = small_dataset().tests["test"][0], windowed(load(trained_folder()), 5)
+    expected = model.simulate(record.u).y
+    found = simulate_file(model, new, "rest")
+    assert found.from_rest
+    assert found.scores[0].rmse == pytest.approx(np.sqrt(np.mean((expected - record.y) ** 2)), rel=1e-12)
+    np.testing.assert_array_equal(found.measured, record.y)
+    held = simulation_limits(model, found, 0.9)
+    within = (held.low <= record.y) & (record.y <= held.high)
+    assert held.held == pytest.approx([within.mean()])
+    done = nnss("simulate", trained_folder(), new, "--start", "rest", "--interval", "0.9")
+    assert done.code == 0, done.err
+    assert str(number(found.scores[0].rmse)) in done.out
+    told = "The band is that of simulations from measured outputs; it holds where the plant was at rest."
+    assert done.out.count(told) == 1
+    assert told not in nnss("simulate", trained_folder(), new, "--interval", "0.9").out
+    pd.DataFrame({"u1": record.u[:, 0], "y1": "lost"}).to_csv(new, index=False)  # outputs that are no numbers
+    assert simulate_file(model, new, "rest").measured is None
+
+
+def test_a_column_in_another_unit_is_to_be_converted_not_renamed(
+    nnss: Callable, trained_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Who renames it alone gets numbers that are wrong by the factor between the units."""
+    model = replace(load(trained_folder()).model, channels=Channels(("p [Pa]",), ("y",), ("Pa",), ("",)))
+    told = []
+    for name in ("p [bar]", "p (Pa)", "p", "q [bar]"):
+        pd.DataFrame({name: np.ones(9), "y": 0.0}).to_csv(tmp_path / "new.csv", index=False)
+        with pytest.raises(InputError) as error:
+            simulate_file(TrainedModel(model), tmp_path / "new.csv")
+        told.append(str(error.value).partition(f"found {name}, y: ")[2])
+    converted = "convert 'p [bar]' to 'p [Pa]', in its values, too"
+    assert told == [converted, *["rename what stands for p [Pa]"] * 3]
+    pd.DataFrame({"p [bar]": np.ones(9)}).to_csv(tmp_path / "new.csv", index=False)
+    with pytest.raises(InputError, match=r"too, and rename what stands for y$"):
+        simulate_file(TrainedModel(model), tmp_path / "new.csv")
 
 
 def test_missing_outputs_are_told_and_left_out(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
@@ -162,7 +205,8 @@ def test_missing_outputs_are_told_and_left_out(new: Path, nnss: Callable, traine
     done = nnss("simulate", trained_folder(), new)
     assert "Nothing to compare with: the file has no outputs beyond those of the start." in done.out
     assert "RMSE" not in done.out
-    assert "compare" not in nnss("simulate", trained_folder(), new, "--start", "rest").out
+    (rest,) = simulate_file(model, new, "rest").scores
+    assert rest.rmse == abs(table["y1"][0] - simulate_file(model, new, "rest").y[0, 0])  # the one that is left
 
 
 def test_each_output_is_scored_over_its_own_samples(
@@ -175,7 +219,7 @@ def test_each_output_is_scored_over_its_own_samples(
     table.to_csv(tmp_path / "new.csv", index=False, float_format="%.17g")
     folder = trained_folder(m=3)
     found = simulate_file(windowed(load(folder), 2), tmp_path / "new.csv", "rest")
-    assert found.scores == ()
+    assert [score.output for score in found.scores] == ["y1", "y2", "y3"]  # of y3 one sample is there
     table.loc[1, "y3"] = 0.0
     table.to_csv(tmp_path / "new.csv", index=False, float_format="%.17g")
     model = windowed(load(folder), 2)
@@ -257,16 +301,36 @@ def test_all_training_records_and_every_signal_count_for_the_range() -> None:
 
 
 def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folder: Callable[..., Path]) -> None:
-    before = new.read_bytes()
-    refused = nnss("simulate", trained_folder(), new, "--out", new)
-    assert (refused.code, new.read_bytes()) == (2, before)
-    assert "exists already" in refused.err
     Path("predicted.csv").write_text("mine")
+    refused = nnss("simulate", trained_folder(), new, "--out", "predicted.csv")
+    assert (refused.code, Path("predicted.csv").read_text()) == (2, "mine")
+    assert "exists already" in refused.err
     for name in ("predicted-2.csv", "predicted-3.csv"):
         assert nnss("simulate", trained_folder(), new).out.endswith(f"{name}\n")
     assert Path("predicted.csv").read_text() == "mine"
     assert nnss("simulate", trained_folder(), new, "--force").code == 0
     assert Path("predicted.csv").read_bytes() == Path("predicted-2.csv").read_bytes()
+
+
+def test_what_is_read_is_not_replaced_even_when_forced(
+    new: Path, nnss: Callable, trained_folder: Callable[..., Path]
+) -> None:
+    """Under whatever name: a measurement would be gone."""
+    before, beside = new.read_bytes(), new.with_name("fitted.csv")
+    beside.write_bytes(before)
+    Path("other.csv").symlink_to(new)
+    calls: list[tuple[object, ...]] = [
+        ("simulate", trained_folder(), new, "--out", new),
+        ("simulate", trained_folder(), new, "--out", "other.csv"),
+        ("predict", trained_folder(), new, "--out", new),
+        ("predict", trained_folder(), new, "--data", beside, "--out", beside),
+        ("inspect", new, "--inputs", "u1", "--outputs", "y1", "--ts", "0.5", "--write", new),
+    ]
+    for call in calls:
+        refused = nnss(*call, "--force")
+        assert (refused.code, refused.err.count("\n")) == (2, 1)
+        assert f"'{call[-1]}' is what is read: expected another file" in refused.err
+        assert new.read_bytes() == beside.read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -277,6 +341,11 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folde
         (("--time", "clock"), "no column 'clock'"),
         (("--time", "u1"), "expected another column than a channel's for the time, found 'u1'"),
         (("--out", "x.png", "--plot"), "expected a name for the table, 'x.png' is the figure's beside it"),
+        (("--out", "x.XLSX"), "--out: expected a name for CSV text, found 'x.XLSX': end it in .csv"),
+        (
+            ("--start", "rest", "--interval", "0.9", "--interval-by", "ensemble"),
+            "interval-by ensemble: expected a simulation from measured outputs, found one from rest",
+        ),
         (("--ts", "nan"), "against the model: sampling time nan s, expected 0.5 s"),
     ],
 )
