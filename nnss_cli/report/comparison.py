@@ -30,7 +30,7 @@ from nnss_cli.report.aggregate import (
     split_name,
 )
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.style import FORMATS, SCREEN, Look, styles_of
+from nnss_cli.report.style import FORMATS, SCREEN, Look, shortened, styles_of
 from nnss_cli.report.tables import rmse_markdown
 
 HOUR = 3600.0
@@ -103,14 +103,16 @@ def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None
                         panel = f"{split}/{score.output}"
                         axis = units[score.output]
                         labels[panel] = f"RMSE [{axis.unit}]" if has_unit(axis.unit) else "RMSE"
-                        shown = ([split_name(split)] if len(splits) > 1 else []) + [axis.name] * (len(units) > 1)
+                        shown = ([split_name(split)] if len(splits) > 1 else []) + [shortened(axis.name, 40)] * (
+                            len(units) > 1
+                        )
                         titles[panel] = ", ".join(shown)
                         by_order = values.setdefault(panel, {}).setdefault(method, {})
                         by_order.setdefault(result.spec.order, []).append(score.rmse)
     if not values:
         return None
     what = split_name(splits[0]) if len(splits) == 1 else "test"
-    of = f" of {units['y1'].name}" if len(units) == 1 else ""
+    of = f" of {shortened(units['y1'].name, 60)}" if len(units) == 1 else ""
     title = f"{_title(results[0])}: {what} RMSE{of}{_over_seeds(results)}"
     lost = [
         f"{failed} of {len(own)} {styles_of([method])[method].label}, n = {order}"
