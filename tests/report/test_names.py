@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +20,12 @@ from nnss_cli.experiment.sweep import plan
 from nnss_cli.methods import select
 from nnss_cli.report import figures
 from nnss_cli.report.build import write_report
+from nnss_cli.report.cells import Markup, escaped
 from nnss_cli.report.figures import draw_boxplot, save_figure
 from nnss_cli.report.inspection import draw_inspection
 from nnss_cli.report.simulation import draw_simulated
 from nnss_cli.report.style import Axis, axis_label, shortened, stacked_label
+from nnss_cli.report.tables import markdown, rmse_markdown
 from nnss_cli.report.timeplots import draw_simulation, draw_states
 from nnss_cli.testing import small_dataset
 
@@ -126,10 +129,47 @@ def test_labels_of_a_long_name_stay_within_the_figure(draw: Callable[[str], Figu
     figures.plt.close(figure)
 
 
-def kept(out: Path, channels: Channels) -> Store:
+# pages in Markdown
+
+MARKUP = {
+    "snake_case_name": "snake_case_name", "a__b": "a__b", "y [V]": "y [V]", "1 < 2 & 3": "1 < 2 & 3",
+    "C:\\new": "C:\\new",
+    "_x_": r"\_x\_", "x_ y": r"x\_ y", "a*b*": r"a\*b\*", "`x`": r"\`x\`", "a|b": r"a\|b", r"a\|b": r"a\\\|b",
+    "[link](http://x)": r"[link\](http://x)", "[a][b]": r"[a\][b]", "<script>": r"\<script>", "</in>": r"\</in>",
+    "&amp;": r"\&amp;", "&#65;": r"\&#65;", "~~x~~": r"\~\~x\~\~", "$x$ [$]": r"\$x\$ [\$]",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "written"), MARKUP.items())
+def test_what_markdown_would_take_for_markup_is_escaped_and_nothing_else(name: str, written: str) -> None:
+    assert escaped(name) == written
+    head, _, row = markdown([{name: name, "of ours": Markup("**1**")}]).splitlines()
+    assert f"| {written} " in head
+    assert f"| {written} " in row
+    assert "| **1** " in row
+
+
+def test_names_reach_every_part_of_the_pages_as_text(tmp_path: Path) -> None:
+    name, written = "<b>_y_</b> [link](x)", r"\<b>\_y\_\</b> [link\](x)"
+    store = kept(tmp_path, Channels(("u",), (name,), ("V",), ("m",)), notes=(f"'{name}' drifts",))
+    (run,) = store.results()
+    page = write_report(tmp_path).read_text()
+    table = (store.folder / "rmse.md").read_text()
+    lost = replace(run, status="failed", reason=name, scores=(), spec=replace(run.spec, seed=1))
+    rest = rmse_markdown([replace(run, remarks=(name,)), lost], [f"'{name}'"])
+    for text in (page, table, rest):
+        assert written in text
+        assert name not in text
+        assert f"Note: '{written}' drifts" in text
+    assert rest.count(written) == table.count(written) + 3
+
+
+def kept(out: Path, channels: Channels, **more: Any) -> Store:
     """The folder of one run on a small record whose channels have these names."""
     dataset = small_dataset()
-    dataset = replace(dataset, fitting=replace(dataset.fitting, channels=channels, dataset="small", protocol="own"))
+    dataset = replace(
+        dataset, fitting=replace(dataset.fitting, channels=channels, dataset="small", protocol="own"), **more
+    )
     store = Store(out, dataset.name, dataset.protocol)
     (spec,) = plan(store, dataset, select(["n4sid"]), [2], [0], {}, False).todo
     assert execute(spec, dataset, store).status == "ok"
