@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.datasets.record import heading
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.ablation import Variant, studies
 from nnss_cli.experiment.agreement import agreeing
@@ -17,6 +18,7 @@ from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
 from nnss_cli.report import figures
+from nnss_cli.report.aggregate import titled_by
 from nnss_cli.report.cells import escaped
 from nnss_cli.report.comparison import write_comparison
 from nnss_cli.report.evidence import (
@@ -140,7 +142,7 @@ def _section(
 ) -> str:
     entry = BENCHMARKS.usable(store.dataset)
     table = (store.folder / "rmse.md").read_text(encoding="utf-8")
-    parts = [f"## {escaped(store.dataset)}, protocol `{store.protocol}`"]
+    parts = [f"## {escaped(heading(titled_by(results), store.dataset))}, protocol `{store.protocol}`"]
     if entry:
         parts.append(f"{entry.title}. Source: {entry.citation}.")
     # The comparison's own page, its headings one level down.

@@ -194,7 +194,7 @@ def draw_orders(
         for panel in (left, right):
             panel.set_xlabel("order n")
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-        figure.suptitle(title, fontsize=9)
+        figure.suptitle(wrapped(title, 7.2), fontsize=9)
     return figure
 
 

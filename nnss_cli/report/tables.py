@@ -12,7 +12,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from nnss_cli.datasets.catalog import BENCHMARKS
-from nnss_cli.datasets.record import FITTED_ON
+from nnss_cli.datasets.record import FITTED_ON, heading
 from nnss_cli.datasets.units import has_unit
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
@@ -34,6 +34,7 @@ from nnss_cli.report.aggregate import (
     split_name,
     splits_of,
     summary,
+    titled_by,
 )
 from nnss_cli.report.cells import Cell, Markup, escaped, whole
 from nnss_cli.report.statistics import median_interval, quantile
@@ -145,7 +146,8 @@ def option(value: object) -> str:
 def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) -> str:
     """The summary over seeds, one table a split, the runs that failed, and those that were left out."""
     first = results[0].spec
-    parts = [f"# RMSE of {escaped(first.dataset)}, protocol `{first.protocol}`", _explanation(results)]
+    called = escaped(heading(titled_by(results), first.dataset))
+    parts = [f"# RMSE of {called}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
     names, outputs = methods_of(results), outputs_of(results)
     for split in splits_of(results):
@@ -246,8 +248,9 @@ def terminal_title(results: Sequence[RunResult], split: str = "", output: str = 
     first = results[0].spec
     output = output or (NORMALISED if several_outputs(results) else "y1")
     what = "mean over outputs of RMSE/σ" if output == NORMALISED else f"RMSE of {output_names(results[0])[output]}"
+    called = heading(titled_by(results), first.dataset)
     return (
-        f"{first.dataset}, protocol {first.protocol}: {what}, {split_name(split or scored_splits(results)[0])}; "
+        f"{called}, protocol {first.protocol}: {what}, {split_name(split or scored_splits(results)[0])}; "
         "median over seeds, q1–q3, best (the seed chosen on validation)"
     )
 

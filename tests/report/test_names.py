@@ -13,6 +13,7 @@ from matplotlib.text import Text
 from nnss_cli.datasets.record import Channels
 
 from nnss_cli.errors import FontWarning
+from nnss_cli.experiment.agreement import agreeing
 from nnss_cli.experiment.execute import execute
 from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.store import Store
@@ -21,11 +22,14 @@ from nnss_cli.methods import select
 from nnss_cli.report import figures
 from nnss_cli.report.build import write_report
 from nnss_cli.report.cells import Markup, escaped
+from nnss_cli.report.comparison import _boxplot, _simulations
 from nnss_cli.report.figures import draw_boxplot, save_figure
+from nnss_cli.report.html.looks import looks_of
+from nnss_cli.report.html.record import section_of
 from nnss_cli.report.inspection import draw_inspection
 from nnss_cli.report.simulation import draw_simulated
 from nnss_cli.report.style import Axis, axis_label, shortened, stacked_label
-from nnss_cli.report.tables import markdown, rmse_markdown
+from nnss_cli.report.tables import markdown, rmse_markdown, terminal_title
 from nnss_cli.report.timeplots import draw_simulation, draw_states
 from nnss_cli.testing import small_dataset
 
@@ -162,6 +166,32 @@ def test_names_reach_every_part_of_the_pages_as_text(tmp_path: Path) -> None:
         assert name not in text
         assert f"Note: '{written}' drifts" in text
     assert rest.count(written) == table.count(written) + 3
+
+
+# the title of a description
+
+
+def test_the_title_of_a_dataset_heads_tables_pages_and_figures(tmp_path: Path) -> None:
+    channels = Channels(("u",), ("y",), ("V",), ("m",))
+    store = kept(tmp_path, channels, title="A *small* plant")
+    runs = store.results()
+    assert terminal_title(runs).startswith("A *small* plant (small), protocol own: RMSE of y [m], test;")
+    page = write_report(tmp_path).read_text()
+    assert r"## A \*small\* plant (small), protocol `own`" in page.splitlines()
+    assert rmse_markdown(runs).startswith(r"# RMSE of A \*small\* plant (small), protocol `own`")
+    drawn = _boxplot(runs)
+    assert drawn is not None
+    assert drawn.get_suptitle().startswith("A *small* plant (small, protocol own): test RMSE of y")
+    (simulation,) = _simulations(store, runs).values()
+    assert simulation is not None
+    assert simulation.get_suptitle().startswith("A *small* plant (small, protocol own): test record")
+    assert section_of(store, agreeing(store, store.read()), looks_of(["n4sid"]), "plant").about == "A *small* plant"
+    untitled = [replace(run, title="") for run in runs]
+    assert terminal_title(untitled).startswith("small, protocol own: ")
+    later = replace(runs[0], title="Renamed", provenance={"finished": "9999"})
+    assert terminal_title([*runs, later]).startswith("Renamed (small), ")
+    for figure in (drawn, simulation):
+        figures.plt.close(figure)
 
 
 def kept(out: Path, channels: Channels, **more: Any) -> Store:
