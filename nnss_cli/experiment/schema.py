@@ -56,7 +56,9 @@ def parse_result(text: bytes) -> RunResult:
     for score in result.scores:
         values = (score.rmse, score.nrmse, score.fit_percent)
         _require(
-            all(map(math.isfinite, values)) and min(values[:2]) >= 0, "scores: expected finite errors, not negative"
+            all(map(math.isfinite, values)) and min(values[:2]) >= 0,
+            "scores: expected finite errors, not negative, found "
+            f"rmse {score.rmse}, nrmse {score.nrmse}, fit_percent {score.fit_percent} ({score.split}, {score.output})",
         )
     return result
 
@@ -79,8 +81,13 @@ def _one_line() -> Iterator[None]:
         yield
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where}: {' '.join(first['msg'].split())}, found {first['input']!r:.80}") from error
+        found = first["input"]
+        if isinstance(found, bytes):  # all of a file that is no JSON
+            found = " ".join(found[:200].decode(errors="replace").split())
+        told = filter(
+            None, (".".join(map(str, first["loc"])), f"{' '.join(first['msg'].split())}, found {found!r:.80}")
+        )
+        raise ValueError(": ".join(told)) from error
 
 
 def check_place(result: RunResult, dataset: str, protocol: str, label: str) -> None:
