@@ -84,10 +84,8 @@ def _one_line() -> Iterator[None]:
         found = first["input"]
         if isinstance(found, bytes):  # all of a file that is no JSON
             found = " ".join(found[:200].decode(errors="replace").split())
-        told = filter(
-            None, (".".join(map(str, first["loc"])), f"{' '.join(first['msg'].split())}, found {found!r:.80}")
-        )
-        raise ValueError(": ".join(told)) from error
+        where, what = ".".join(map(str, first["loc"])), " ".join(first["msg"].split())
+        raise ValueError(f"{f'{where}: ' if where else ''}{what}, found {found!r:.80}") from error
 
 
 def check_place(result: RunResult, dataset: str, protocol: str, label: str) -> None:
