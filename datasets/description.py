@@ -50,8 +50,12 @@ def _line(value: object) -> str:
     return _text(value)
 
 
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and _NAME.fullmatch(value) is not None
+
+
 def _name(value: object) -> str:
-    if not _NAME.fullmatch(_text(value)):
+    if not _is_name(_text(value)):
         raise TypeError("letters, digits, '.', '_' and '-' (it names a folder of results)")
     return _text(value)
 
@@ -143,10 +147,18 @@ def _test_sets(value: object) -> dict[str, tuple[str, ...]]:
     if not isinstance(value, Mapping):
         files = _files(value)
         return {"test": files} if files else {}
-    sets = {_name(name): _files(files) for name, files in value.items()}
-    for name, files in sets.items():
-        if name in ("train", "val") or not files:
-            raise TypeError("named test sets with at least one file each, none of them named train or val")
+    sets = {}
+    for name, files in value.items():
+        try:
+            sets[_name(name)] = _files(files)
+        except TypeError as error:
+            of, found = (f" '{name}'", files) if _is_name(name) else ("'s name", name)
+            raise InputError(f"test: test set{of}: expected {error}, found {shown(found)}") from error
+        if name in ("train", "val") or not sets[name]:
+            raise InputError(
+                "test: expected named test sets with at least one file each, none of them named train or val, found "
+                f"{shown(name)}{'' if sets[name] else ' without files'}"
+            )
     return sets
 
 

@@ -53,6 +53,8 @@ class Experiments:
     """First output samples from which the initial state is found; more than one are not scored."""
     notes: tuple[str, ...] = ()
     """What a reader of the results must know: samples interpolated, a drift taken off, no test."""
+    title: str = ""
+    """One line for the heads of tables and figures."""
     about_means: bool = False
     """Whether models are to be in deviations from the means, wherever the plant rests under the mean input."""
 
@@ -142,6 +144,7 @@ def load_experiments(description: Description) -> Experiments:
         channels=channels,
         init_window=description.init_window,
         notes=tuple(notes),
+        title=description.title,
         about_means=description.detrend == "constant",
     )
 
@@ -321,4 +324,4 @@ def dataset_of(experiments: Experiments, scaling_at_rest: Callable[[tuple[Record
     fitting = FittingData(
         experiments.name, OWN, experiments.train, experiments.val, scaling, channels, experiments.init_window,
     )  # fmt: skip
-    return Dataset(fitting, dict(experiments.tests), notes)
+    return Dataset(fitting, dict(experiments.tests), notes, experiments.title)

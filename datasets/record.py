@@ -320,6 +320,8 @@ class Dataset:
     """Test experiments by the name of the test set, "test" where there is one; empty where the file has none."""
     notes: tuple[str, ...] = field(default=())
     """What a reader of the results must know, such as why there is no test."""
+    title: str = ""
+    """One line for the heads of tables and figures; "" where the name is all there is."""
 
     def __post_init__(self) -> None:
         for name, records in self.tests.items():
@@ -336,6 +338,11 @@ class Dataset:
         return self.fitting.dataset
 
     @property
+    def heading(self) -> str:
+        """What it is called in heads."""
+        return heading(self.title, self.name)
+
+    @property
     def protocol(self) -> str:
         """Which split and statistics."""
         return self.fitting.protocol
@@ -347,6 +354,11 @@ class Dataset:
     def fingerprint(self) -> str:
         """A hash of every sample, statistic, name and unit: runs with equal fingerprints are comparable."""
         return _hash(self.fitting, self.splits())
+
+
+def heading(title: str, name: str) -> str:
+    """What a dataset is called in heads of tables and figures: its title, where it has one, with its name."""
+    return f"{title} ({name})" if title else name
 
 
 def _hash(fitting: FittingData, splits: Mapping[str, tuple[Record, ...]]) -> str:

@@ -35,7 +35,7 @@ from nnss_cli.commands import (
 )
 from nnss_cli.commands.options import with_output, with_plugins
 from nnss_cli.commands.variadic import VariadicCommand
-from nnss_cli.errors import InputError, RenamedWarning
+from nnss_cli.errors import FontWarning, InputError, RenamedWarning
 from nnss_cli.experiment.interrupt import EXIT_CODE, interruptible
 from nnss_cli.files import free_space
 from nnss_cli.plugins import PluginWarning
@@ -124,7 +124,7 @@ def _show_own_warnings_on_one_line() -> None:
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, PluginWarning):
             print(f"nnss: passed over: {message}", file=sys.stderr)
-        elif issubclass(category, RenamedWarning):
+        elif issubclass(category, RenamedWarning | FontWarning):
             print(f"nnss: {message}", file=sys.stderr)
         else:
             usual(message, category, *where, **more)

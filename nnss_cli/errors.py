@@ -16,6 +16,10 @@ class RenamedWarning(FutureWarning):
     """A value of an option was given by the name that it had before."""
 
 
+class FontWarning(UserWarning):
+    """Names in a figure have letters that its font does not have."""
+
+
 def unknown(kind: str, found: str, valid: Iterable[str]) -> InputError:
     """The error for a name that is not in a closed list: it always shows the list."""
     return InputError(f"unknown {kind} '{found}': choose from {', '.join(valid)}")

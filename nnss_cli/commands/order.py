@@ -44,7 +44,7 @@ def command(
     chosen = suggest_order(rows)
     require_writable(folder)
     measure = "RMSE/σ" if data.fitting.output_count == 1 else "RMS over outputs of RMSE/σ"
-    title = f"{data.name}, protocol {data.protocol}: N4SID by order ({measure}, horizon {chosen_by})"
+    title = f"{data.heading}, protocol {data.protocol}: N4SID by order ({measure}, horizon {chosen_by})"
     print_rows(order_rows(rows, chosen), title, text_columns=1)
     if len(rows) < largest:
         console.print(f"Orders up to {len(rows)}: the model behind the Hankel singular values has no more states.")

@@ -65,7 +65,7 @@ def command(
         console.print(f"Note: {note}", soft_wrap=True, highlight=False)
     print_rows(
         score_rows(result),
-        f"{data.name}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
+        f"{data.heading}, protocol {data.protocol}, {method}, order {order}, seed {result.spec.seed}",
     )
     for remark in result.remarks:
         console.print(remark, soft_wrap=True, highlight=False, markup=False)

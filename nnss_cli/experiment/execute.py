@@ -92,7 +92,7 @@ def execute(
     made = watch.provenance(command)
     result = RunResult(
         spec, status, reason, tuple(scores), fit.epochs, round(fit_seconds, 3), made, fit.history,
-        asdict(dataset.fitting.channels), dataset.notes, fit.remarks,
+        asdict(dataset.fitting.channels), dataset.notes, fit.remarks, dataset.title,
     )  # fmt: skip
     with store.writing(), together():
         if fit.model is not None:

@@ -196,7 +196,7 @@ def keep_lost(task: Task, lost: Lost, dataset: Dataset, store: Store) -> RunResu
     """Keep as a result that a run was lost."""
     result = RunResult(
         task.spec, lost.status, lost.reason, (), 0, round(lost.seconds, 3), Watch().provenance(task.command), {},
-        asdict(dataset.fitting.channels), dataset.notes,
+        asdict(dataset.fitting.channels), dataset.notes, title=dataset.title,
     )  # fmt: skip
     store.clear(task.spec)
     store.write(result, {})

@@ -97,6 +97,8 @@ class RunResult:
     """What a reader of the scores must know about the split."""
     remarks: tuple[str, ...] = ()
     """What the fit has to tell, such as that the start was kept."""
+    title: str = ""
+    """The dataset's, for the heads of tables and figures."""
 
     def renamed(self, method: str) -> RunResult:
         """The same result under another method's name."""

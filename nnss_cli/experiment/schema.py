@@ -56,7 +56,9 @@ def parse_result(text: bytes) -> RunResult:
     for score in result.scores:
         values = (score.rmse, score.nrmse, score.fit_percent)
         _require(
-            all(map(math.isfinite, values)) and min(values[:2]) >= 0, "scores: expected finite errors, not negative"
+            all(map(math.isfinite, values)) and min(values[:2]) >= 0,
+            "scores: expected finite errors, not negative, found "
+            f"rmse {score.rmse}, nrmse {score.nrmse}, fit_percent {score.fit_percent} ({score.split}, {score.output})",
         )
     return result
 
@@ -79,8 +81,11 @@ def _one_line() -> Iterator[None]:
         yield
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where}: {' '.join(first['msg'].split())}, found {first['input']!r:.80}") from error
+        found = first["input"]
+        if isinstance(found, bytes):  # all of a file that is no JSON
+            found = " ".join(found[:200].decode(errors="replace").split())
+        where, what = ".".join(map(str, first["loc"])), " ".join(first["msg"].split())
+        raise ValueError(f"{f'{where}: ' if where else ''}{what}, found {found!r:.80}") from error
 
 
 def check_place(result: RunResult, dataset: str, protocol: str, label: str) -> None:

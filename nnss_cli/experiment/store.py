@@ -300,11 +300,12 @@ def _read(path: Path) -> RunResult | None:
         InputError: it is damaged.
     """
     try:
-        return _in_place(parse_result(path.read_bytes()), path.parent)
+        result = parse_result(path.read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         raise _unfinished(path.parent, error) from error
+    return _in_place(result, path.parent)
 
 
 def _in_place(result: RunResult, folder: Path) -> RunResult:

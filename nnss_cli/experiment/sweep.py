@@ -10,6 +10,7 @@ from functools import partial
 from nnss_cli.datasets.record import Dataset, FittingData
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.agreement import OTHER_DATA, conflict, difference
+from nnss_cli.experiment.changed import changed_data
 from nnss_cli.experiment.executor import NO_LIMITS, Event, Executor, Limits, Serial, Task
 from nnss_cli.experiment.outcomes import results
 from nnss_cli.experiment.processes import Processes
@@ -156,8 +157,10 @@ def plan(
                     )
                 other = "" if force else conflict(spec, existing)
                 if other:
+                    apart = [r for r in existing if r.spec.data != data] if OTHER_DATA in other else []
+                    changed = changed_data(store, apart[0], dataset) if apart else ""
                     raise InputError(
-                        f"'{store.folder}' holds runs of {other}: "
+                        f"'{store.folder}' holds runs of {other}{f', here its {changed}' * bool(changed)}: "
                         "take another folder with --out, or --force to replace them"
                     )
             for one in chosen:

@@ -119,6 +119,7 @@ def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Pa
         *[_ROOT] * emitter.uses["root"],
         *[_SIGMOID] * emitter.uses["sigmoid"],
         *bodies,
+        "",
     ]))  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="nnss-c-") as aside:
         return [
@@ -127,8 +128,9 @@ def write_c(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Pa
 
 
 def _comment(lines: Sequence[str]) -> list[str]:
-    """Lines within a comment, which they cannot end."""
-    return [f" * {line}".replace("*/", "* /").rstrip() for line in lines]
+    """Lines within a comment, which they cannot end; what compilers warn of there (`/*`, a trigraph) is parted."""
+    text = (f" * {line}".replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/") for line in lines)
+    return [line.rstrip() for line in text]
 
 
 class _Emitter:

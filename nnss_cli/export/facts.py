@@ -6,6 +6,7 @@ import textwrap
 from dataclasses import asdict
 from typing import Any
 
+from nnss_cli.datasets.units import titled
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.certificate import Certificate, certify
 from nnss_cli.trained import TrainedModel
@@ -101,8 +102,7 @@ def header(facts: dict[str, Any], width: int = 110) -> list[str]:
     """The head of a source file, line by line, without comment signs."""
 
     def signals(kind: str) -> str:
-        pairs = zip(facts[f"{kind}s"], facts[f"{kind}_units"], strict=True)
-        return ", ".join(f"{name} [{unit}]" for name, unit in pairs)
+        return ", ".join(map(titled, facts[f"{kind}s"], facts[f"{kind}_units"]))
 
     text = [
         f"{facts['model']}. Made by {facts['made_by']}; do not edit.",

@@ -44,6 +44,11 @@ def long_table(results: Sequence[RunResult]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
+def titled_by(results: Sequence[RunResult]) -> str:
+    """The dataset's title for heads: that of the run that was finished last; "" for none."""
+    return max(results, key=lambda result: result.provenance.get("finished", "")).title
+
+
 def axes(result: RunResult, kind: str) -> list[Axis]:
     """Names and units of a run's "input"s or "output"s."""
     channels = result.channels

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.datasets.record import heading
 from nnss_cli.errors import InputError
 from nnss_cli.experiment.ablation import Variant, studies
 from nnss_cli.experiment.agreement import agreeing
@@ -17,6 +18,8 @@ from nnss_cli.experiment.run import RunResult
 from nnss_cli.experiment.store import Store, stores
 from nnss_cli.files import write_text
 from nnss_cli.report import figures
+from nnss_cli.report.aggregate import titled_by
+from nnss_cli.report.cells import escaped
 from nnss_cli.report.comparison import write_comparison
 from nnss_cli.report.evidence import (
     QUIRKS,
@@ -114,7 +117,7 @@ def _overall(results: Sequence[RunResult], protocol: str, out: Path) -> list[str
 
 
 def _listed(title: str, lines: Sequence[str]) -> list[str]:
-    return [f"{title}:\n\n" + "\n".join(f"- {line}" for line in lines)] if lines else []
+    return [f"{title}:\n\n" + "\n".join(f"- {escaped(line)}" for line in lines)] if lines else []
 
 
 def write_orders(rows: Sequence[OrderRow], chosen: int, folder: Path, measure: str, title: str) -> list[Path]:
@@ -139,7 +142,7 @@ def _section(
 ) -> str:
     entry = BENCHMARKS.usable(store.dataset)
     table = (store.folder / "rmse.md").read_text(encoding="utf-8")
-    parts = [f"## {store.dataset}, protocol `{store.protocol}`"]
+    parts = [f"## {escaped(heading(titled_by(results), store.dataset))}, protocol `{store.protocol}`"]
     if entry:
         parts.append(f"{entry.title}. Source: {entry.citation}.")
     # The comparison's own page, its headings one level down.
@@ -185,10 +188,9 @@ def _section(
         write_study(store, study, variants)
         parts.append(f"### Study: {study}\n\n{study_text(store, study, variants)}".rstrip())
     parts.append("### Figures")
-    parts += [
-        f"![{path.stem} of {store.dataset}, protocol {store.protocol}]({path.relative_to(out).as_posix()})"
-        for path in _pictures(files)
-    ]
+    for path in _pictures(files):
+        shown = escaped(f"{path.stem} of {store.dataset}, protocol {store.protocol}")
+        parts.append(f"![{shown}]({path.relative_to(out).as_posix()})")
     versions = sorted({_versions(result) for result in results})
     parts.append(
         f"{len(results)} runs, {len(failures(results))} without a result. Made with " + "; ".join(versions) + "."

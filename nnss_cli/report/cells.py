@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,19 @@ class Cell(str):
         cell = super().__new__(cls, text)
         cell.value = value
         return cell
+
+
+class Markup(str):
+    """Text that is Markdown already."""
+
+
+_MARKUP = re.compile(r"\\(?=[!-/:-@\[-`{-~])|[`*|$~]|(?<!\w)_+|_+(?!\w)|\](?=[(\[:])|<(?=[A-Za-z/!?])|&(?=#?\w+;)")
+"""What Markdown (of GitHub) would take for markup where it stands: an underscore within a word it does not."""
+
+
+def escaped(text: str) -> str:
+    """A text that is the user's, for a page in Markdown: shown as it is, and as it is written where that will do."""
+    return _MARKUP.sub(lambda found: "".join(f"\\{letter}" for letter in found[0]), text)
 
 
 def whole(value: int) -> Cell:

@@ -28,9 +28,10 @@ from nnss_cli.report.aggregate import (
     runs_by_method,
     scored_splits,
     split_name,
+    titled_by,
 )
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.style import FORMATS, SCREEN, Look, styles_of
+from nnss_cli.report.style import FORMATS, SCREEN, Look, shortened, styles_of
 from nnss_cli.report.tables import rmse_markdown
 
 HOUR = 3600.0
@@ -85,8 +86,9 @@ def _write_files(store: Store, made_of: Table, times: bool, look: Look) -> list[
     return written
 
 
-def _title(result: RunResult) -> str:
-    return f"{result.spec.dataset} (protocol {result.spec.protocol})"
+def _title(results: Sequence[RunResult]) -> str:
+    title, name, protocol = titled_by(results), results[0].spec.dataset, f"protocol {results[0].spec.protocol}"
+    return f"{shortened(title, 100)} ({name}, {protocol})" if title else f"{name} ({protocol})"
 
 
 def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None:
@@ -103,15 +105,17 @@ def _boxplot(results: Sequence[RunResult], look: Look = SCREEN) -> Figure | None
                         panel = f"{split}/{score.output}"
                         axis = units[score.output]
                         labels[panel] = f"RMSE [{axis.unit}]" if has_unit(axis.unit) else "RMSE"
-                        shown = ([split_name(split)] if len(splits) > 1 else []) + [axis.name] * (len(units) > 1)
+                        shown = ([split_name(split)] if len(splits) > 1 else []) + [shortened(axis.name, 40)] * (
+                            len(units) > 1
+                        )
                         titles[panel] = ", ".join(shown)
                         by_order = values.setdefault(panel, {}).setdefault(method, {})
                         by_order.setdefault(result.spec.order, []).append(score.rmse)
     if not values:
         return None
     what = split_name(splits[0]) if len(splits) == 1 else "test"
-    of = f" of {units['y1'].name}" if len(units) == 1 else ""
-    title = f"{_title(results[0])}: {what} RMSE{of}{_over_seeds(results)}"
+    of = f" of {shortened(units['y1'].name, 60)}" if len(units) == 1 else ""
+    title = f"{_title(results)}: {what} RMSE{of}{_over_seeds(results)}"
     lost = [
         f"{failed} of {len(own)} {styles_of([method])[method].label}, n = {order}"
         for (method, order), own in runs_by_method(results).items()
@@ -151,7 +155,7 @@ def _simulations(store: Store, results: Sequence[RunResult], look: Look = SCREEN
         any_signals = next(iter(signals.values()))
         measured, lengths = joined(any_signals, split, "y"), record_lengths(any_signals, split)
         time, unit = _time(len(measured), float(any_signals["Ts"][0]))
-        title = f"{_title(results[0])}: {_records(split, lengths)}, each method's best run by validation"
+        title = f"{_title(results)}: {_records(split, lengths)}, each method's best run by validation"
         name = "simulation" if split in ("test", "val") else f"simulation-{split}"
         inputs = list(zip(axes(results[0], "input"), joined(any_signals, split, "u").T, strict=True))
         found[name] = timeplots.draw_simulation(
@@ -208,7 +212,7 @@ def _states(store: Store, results: Sequence[RunResult], look: Look = SCREEN) -> 
     measured, lengths = joined(signals, split, "y"), record_lengths(signals, split)
     time, unit = _time(len(measured), float(signals["Ts"][0]))
     title = (
-        f"{_title(result)}: latent states of the best NN-SS run by validation\n"
+        f"{_title(results)}: latent states of the best NN-SS run by validation\n"
         f"(n = {result.spec.order}, seed {result.spec.seed}; {_records(split, lengths)}, measured outputs on top)"
     )
     return timeplots.draw_states(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +26,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from nnss_cli.datasets.record import FloatArray
+from nnss_cli.errors import FontWarning
 from nnss_cli.files import write_atomically
 from nnss_cli.report.style import SCREEN, STYLE, Look, MethodStyle, legend_columns, log_ticks, styles_of
 
 FLAT = 0.02  # of the panel's height: boxes below it would be all outline
 PANEL = 2.3  # inches that a panel of the box plot needs, at least
+GLYPH = "Glyph .* missing from"  # how matplotlib warns of a letter that the font does not have
 
 
 def draw_boxplot(
@@ -190,7 +194,7 @@ def draw_orders(
         for panel in (left, right):
             panel.set_xlabel("order n")
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-        figure.suptitle(title, fontsize=9)
+        figure.suptitle(wrapped(title, 7.2), fontsize=9)
     return figure
 
 
@@ -255,9 +259,27 @@ def draw_ranks(ranks: pd.Series, level: Sequence[tuple[str, str]], title: str) -
 
 
 def save_figure(figure: Figure, *paths: Path) -> None:
-    """Write a figure to each of these files, atomically, and close it; equal figures give equal files."""
+    """Write a figure to each of these files, atomically, and close it; equal figures give equal files.
+
+    Letters that the font does not have are boxes; a `FontWarning` says so once, not a warning of each letter.
+    """
     for path in paths:
         metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {"Software": None})
-        with plt.rc_context(STYLE):
+        with plt.rc_context(STYLE), warnings.catch_warnings(record=True) as told:
+            warnings.filterwarnings("always", GLYPH)
             write_atomically(path, partial(figure.savefig, metadata=metadata))
+        for warning in told:
+            if re.match(GLYPH, str(warning.message)):
+                _tell_of_the_font()
+            else:
+                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     plt.close(figure)
+
+
+@cache
+def _tell_of_the_font() -> None:
+    warnings.warn(
+        "figures: the font has no letters for some names, which are boxes there; tables have them as they are. For "
+        "figures, name the columns in letters of Latin, Greek or Cyrillic",
+        FontWarning, stacklevel=3,
+    )  # fmt: skip

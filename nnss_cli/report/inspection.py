@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,10 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from nnss_cli.datasets.units import NO_UNIT, unit_in
+from nnss_cli.datasets.units import NO_UNIT
 from nnss_cli.experiment.inspection_result import Delay, Inspection
 from nnss_cli.report.figures import few_log_ticks
-from nnss_cli.report.style import STYLE, TICK_STEPS, Axis
+from nnss_cli.report.style import STYLE, TICK_STEPS, shortened, stacked_label
 from nnss_cli.report.tables import number
 
 SHOWN = 6  # channels of each role, and inputs and outputs of the responses, that the figure has room for
@@ -161,23 +160,10 @@ def draw_inspection(found: Inspection, title: str) -> Figure:
         if outputs:
             _draw_responses(next(blocks), found, inputs, outputs)
         left_out = len(found.channels) - len(shown)
-        figure.suptitle(_text(title, 90) + (f"\n({left_out} more channels not shown)" if left_out else ""), fontsize=10)
+        figure.suptitle(
+            shortened(title, 90, 2) + (f"\n({left_out} more channels not shown)" if left_out else ""), fontsize=10
+        )
     return figure
-
-
-def _text(name: str, width: int, lines: int = 2) -> str:
-    """A name in lines of `width`, cut where it is longer; a dollar sign is no formula."""
-    wrapped = textwrap.wrap(name, width)
-    if len(wrapped) > lines:
-        wrapped = [*wrapped[: lines - 1], wrapped[lines - 1][: width - 1] + "…"]
-    return "\n".join(wrapped).replace("$", r"\$")
-
-
-def _label(name: str, unit: str, width: int = 18) -> str:
-    """Name and unit for an axis, the unit once; the name is cut before the unit is lost."""
-    if unit_in(name) == unit != NO_UNIT:
-        name = name[: max(name.rfind("["), name.rfind("("))].strip()
-    return "\n".join(filter(None, (_text(name, width), _text(str(Axis("", unit)).strip(), width, 1))))
 
 
 def _draw_time(block: Any, found: Inspection, shown: Sequence[Any], looks: dict[str, Any]) -> None:
@@ -196,7 +182,7 @@ def _draw_time(block: Any, found: Inspection, shown: Sequence[Any], looks: dict[
         else:  # dense: from the smallest to the largest value of each point
             panel.fill_between(curve.time, low, high, color=colour, linewidth=0.6)
         unit = channel.unit if not power else f"1e{power} {channel.unit}"
-        panel.set_ylabel(_label(channel.name, unit), fontsize=7, rotation=0, ha="right", va="center")
+        panel.set_ylabel(stacked_label(channel.name, unit, 18), fontsize=7, rotation=0, ha="right", va="center")
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=TICK_STEPS))
         panel.tick_params(labelsize=8)
         panel.margins(x=0.01)
@@ -216,7 +202,6 @@ def _draw_frequency(block: Any, found: Inspection, looks: dict[str, Any]) -> Non
         if name in looks and max(density) > 0:
             power = np.maximum(density, 1e-12 * max(density))  # a line spectrum has zeros
             left.plot(f, power, color=looks[name][0], linestyle=looks[name][1], linewidth=1.1, label=_legend(name))
-    left.set_yscale("log")
     left.set_ylabel(f"power density [σ²/{unit}]" if unit == "Hz" else "power density [σ² samples]")
     for each in found.linearity:
         if each.coherence and each.output in looks:
@@ -226,13 +211,13 @@ def _draw_frequency(block: Any, found: Inspection, looks: dict[str, Any]) -> Non
     right.set_ylim(-0.03, 1.03)
     right.set_ylabel("multiple coherence [–]")
     if left.lines:
+        left.set_yscale("log")
         few_log_ticks(left.yaxis)
     for panel in (left, right):
-        panel.set_xscale("log")
-        if panel.lines:
-            few_log_ticks(panel.xaxis, 5)
         panel.set_xlabel(f"frequency [{unit}]")
         if panel.lines:
+            panel.set_xscale("log")
+            few_log_ticks(panel.xaxis, 5)
             panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=7, handlelength=3.5)
         else:
             panel.text(0.5, 0.5, "too short, or no input", ha="center", va="center", transform=panel.transAxes)
@@ -240,7 +225,7 @@ def _draw_frequency(block: Any, found: Inspection, looks: dict[str, Any]) -> Non
 
 def _legend(name: str) -> str:
     # matplotlib hides labels that begin with an underscore
-    return " " + _text(name, 36, 1)
+    return " " + shortened(name, 36)
 
 
 def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -256,10 +241,10 @@ def _draw_responses(block: Any, found: Inspection, inputs: Sequence[str], output
             if delay.samples is not None:
                 panel.axvline(delay.samples, color="#D55E00", linestyle="--", linewidth=1)
             said = f"delay: {_said(delay)}"
-            panel.set_title(f"{_text(name, 30)}\n{said}" if i == 0 else said, fontsize=8)
+            panel.set_title(f"{shortened(name, 30, 2)}\n{said}" if i == 0 else said, fontsize=8)
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=TICK_STEPS))
             panel.tick_params(labelsize=8)
-        panels[i, 0].set_ylabel(_label(output, "–"), fontsize=7, rotation=0, ha="right", va="center")
+        panels[i, 0].set_ylabel(stacked_label(output, NO_UNIT, 18), fontsize=7, rotation=0, ha="right", va="center")
     for panel in panels[-1]:
         panel.set_xlabel("lag [samples]", fontsize=8)
     block.suptitle(

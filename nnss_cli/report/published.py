@@ -22,6 +22,7 @@ from nnss_cli.report.aggregate import (
     test_sets,
     validation_error,
 )
+from nnss_cli.report.cells import Markup, escaped
 from nnss_cli.report.statistics import median_interval, quantile, quartile_interval
 from nnss_cli.report.tables import markdown, number, output_names, span
 
@@ -123,7 +124,7 @@ def published_comparison(results: Sequence[RunResult]) -> str:
 
 
 def _in_markdown(tables: Tables, notes: Sequence[str]) -> str:
-    parts = [f"{title}:\n\n{markdown(_ours_in_bold(rows))}" for title, rows in tables]
+    parts = [f"{escaped(title)}:\n\n{markdown(_ours_in_bold(rows))}" for title, rows in tables]
     return "\n\n".join([*parts, "  \n".join(notes)]) if parts else ""
 
 
@@ -165,7 +166,10 @@ def published_tables(results: Sequence[RunResult]) -> tuple[Tables, list[str]]:
 
 
 def _ours_in_bold(rows: Sequence[dict[str, str]]) -> list[dict[str, str]]:
-    return [row if row["source"].startswith("[") else row | {"method": f"**{row['method']}**"} for row in rows]
+    return [
+        row if row["source"].startswith("[") else row | {"method": Markup(f"**{escaped(row['method'])}**")}
+        for row in rows
+    ]
 
 
 def _orders(results: Sequence[RunResult]) -> dict[str, tuple[int, list[RunResult]]]:

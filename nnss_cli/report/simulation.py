@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ from nnss_cli.datasets.units import has_unit, titled
 from nnss_cli.experiment.run import Score
 from nnss_cli.report.cells import whole
 from nnss_cli.report.dense import is_dense
-from nnss_cli.report.style import MEASURED, STYLE, band_look, style_of
+from nnss_cli.report.style import MEASURED, STYLE, axis_label, band_look, style_of
 from nnss_cli.report.tables import number, percent
 from nnss_cli.report.timeplots import ENVELOPE, draw_line
 
@@ -101,13 +100,13 @@ def draw_simulated(
                 panel.fill_between(time, low[:, i], high[:, i], label=name, **around)
                 if measured is not None:  # a narrow one is seen only there
                     residual.fill_between(time, low[:, i] - y[:, i], high[:, i] - y[:, i], **around)
-            panel.set_ylabel(titled(channels.outputs[i], channels.output_units[i]))
+            panel.set_ylabel(axis_label(channels.outputs[i], channels.output_units[i], 24))
         for i in range(r):
             panel = panels[rows * m + i, 0]
             draw_line(
                 panel, time, u[:, i], is_dense(u[:, i]), True, color="0.35", linewidth=0.9, drawstyle="steps-post"
             )
-            panel.set_ylabel(textwrap.fill(titled(channels.inputs[i], channels.input_units[i]), 14))
+            panel.set_ylabel(axis_label(channels.inputs[i], channels.input_units[i], 14))
         if any(is_dense(signal) for signal in (*y.T, *u.T)):
             panels[0, 0].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:

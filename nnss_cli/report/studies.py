@@ -10,6 +10,7 @@ from nnss_cli.experiment.agreement import telling
 from nnss_cli.experiment.store import Store
 from nnss_cli.files import write_text
 from nnss_cli.report.aggregate import several_outputs
+from nnss_cli.report.cells import escaped
 from nnss_cli.report.statistics import median_interval
 from nnss_cli.report.tables import markdown, option, study_rows
 
@@ -84,6 +85,6 @@ def study_text(store: Store, study: str, variants: Sequence[Variant]) -> str:
 def write_study(store: Store, study: str, variants: Sequence[Variant]) -> Path:
     """Write study-<name>.md."""
     path = store.folder / f"study-{study}.md"
-    title = f"# NN-SS on {store.dataset}, protocol `{store.protocol}`: {study}"
+    title = f"# NN-SS on {escaped(store.dataset)}, protocol `{store.protocol}`: {study}"
     write_text(path, f"{title}\n\n{study_text(store, study, variants)}\n")
     return path

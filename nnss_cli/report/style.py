@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from nnss_cli.datasets.units import titled
+from nnss_cli.datasets.units import has_unit, titled, unit_in
 from nnss_cli.errors import InputError, unknown
 
 STYLE: Any = {
@@ -16,6 +17,8 @@ STYLE: Any = {
     "grid.color": "0.9", "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 100, "savefig.dpi": 200,
     "svg.hashsalt": "nnss",  # equal data, equal file
     "pdf.fonttype": 42,  # text stays text
+    # a dollar sign is one, since names of channels are the user's; what is a formula says so (`parse_math`)
+    "text.parse_math": False, "axes.formatter.use_mathtext": False,
 }  # fmt: skip
 
 MEASURED: Any = {"color": "0.78", "linewidth": 3.0, "solid_capstyle": "butt"}
@@ -88,6 +91,29 @@ class Axis:
 
     def __str__(self) -> str:
         return titled(self.name, self.unit)
+
+
+def shortened(text: str, width: int, lines: int = 1) -> str:
+    """A text in at most so many lines of `width` characters, cut where it is longer."""
+    wrapped = textwrap.wrap(text, width)
+    if len(wrapped) > lines:
+        wrapped = [*wrapped[: lines - 1], wrapped[lines - 1][: width - 1] + "…"]
+    return "\n".join(wrapped)
+
+
+def axis_label(name: str, unit: str, width: int, lines: int = 3) -> str:
+    """A signal with its unit for an axis, in at most so many lines: of a longer name the unit is kept."""
+    wrapped = textwrap.wrap(titled(name, unit), width)
+    return "\n".join(wrapped) if len(wrapped) <= lines else stacked_label(name, unit, width, lines)
+
+
+def stacked_label(name: str, unit: str, width: int, lines: int = 3) -> str:
+    """A signal, cut to so many lines but one, and its unit in a line below."""
+    if not has_unit(unit):
+        return shortened(name, width, lines - 1)
+    if unit_in(name) == unit:
+        name = name[: max(name.rfind("["), name.rfind("("))].strip()
+    return f"{shortened(name, width, lines - 1)}\n{shortened(f'[{unit}]', width)}"
 
 
 FORMATS = ("png", "svg", "pdf")

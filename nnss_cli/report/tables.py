@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
-from nnss_cli.datasets.record import FITTED_ON
+from nnss_cli.datasets.catalog import BENCHMARKS
+from nnss_cli.datasets.record import FITTED_ON, heading
 from nnss_cli.datasets.units import has_unit
 from nnss_cli.experiment.ablation import Variant
 from nnss_cli.experiment.order import OrderRow
@@ -33,8 +34,9 @@ from nnss_cli.report.aggregate import (
     split_name,
     splits_of,
     summary,
+    titled_by,
 )
-from nnss_cli.report.cells import Cell, whole
+from nnss_cli.report.cells import Cell, Markup, escaped, whole
 from nnss_cli.report.statistics import median_interval, quantile
 
 SIGMA_AND_FIT = (
@@ -144,13 +146,14 @@ def option(value: object) -> str:
 def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) -> str:
     """The summary over seeds, one table a split, the runs that failed, and those that were left out."""
     first = results[0].spec
-    parts = [f"# RMSE of {first.dataset}, protocol `{first.protocol}`", _explanation(results)]
+    called = escaped(heading(titled_by(results), first.dataset))
+    parts = [f"# RMSE of {called}, protocol `{first.protocol}`", _explanation(results)]
     table = summary(results)
     names, outputs = methods_of(results), outputs_of(results)
     for split in splits_of(results):
         body = rows_of_split(table, split, [name for name in names if not is_combination(name)], outputs)
         if body:
-            parts.append(f"## {split_name(split).capitalize()}\n\n" + markdown(body))
+            parts.append(f"## {escaped(split_name(split).capitalize())}\n\n" + markdown(body))
         apart = rows_of_split(table, split, [name for name in names if is_combination(name)], outputs)
         if apart:
             parts.append("Made of runs above, so no independent competitor:\n\n" + markdown(apart))
@@ -158,7 +161,7 @@ def rmse_markdown(results: Sequence[RunResult], left_out: Sequence[str] = ()) ->
         ("Runs without a result", failures(results)), ("Left out", left_out), ("Remarks of the fits", remarks(results)),
     ):  # fmt: skip
         if lines:
-            parts.append(f"## {title}\n\n" + "\n".join(f"- {line}" for line in lines))
+            parts.append(f"## {title}\n\n" + "\n".join(f"- {escaped(line)}" for line in lines))
     return "\n\n".join(parts) + "\n"
 
 
@@ -245,8 +248,9 @@ def terminal_title(results: Sequence[RunResult], split: str = "", output: str = 
     first = results[0].spec
     output = output or (NORMALISED if several_outputs(results) else "y1")
     what = "mean over outputs of RMSE/σ" if output == NORMALISED else f"RMSE of {output_names(results[0])[output]}"
+    called = heading(titled_by(results), first.dataset)
     return (
-        f"{first.dataset}, protocol {first.protocol}: {what}, {split_name(split or scored_splits(results)[0])}; "
+        f"{called}, protocol {first.protocol}: {what}, {split_name(split or scored_splits(results)[0])}; "
         "median over seeds, q1–q3, best (the seed chosen on validation)"
     )
 
@@ -394,14 +398,19 @@ def _explanation(results: Sequence[RunResult]) -> str:
     if several_outputs(results):
         mixed = MIXED if mean_name(results) == UNITS_MIXED else ""
         lines.append(f"Over outputs, methods are ranked by `{NORMALISED}`.{mixed}")
-    told = [*notes, *options_apart(results), *versions_apart(results)]
+    if results[0].spec.dataset not in BENCHMARKS:  # theirs are ours, and Markdown
+        notes = list(map(escaped, notes))
+    told = [*notes, *map(escaped, (*options_apart(results), *versions_apart(results)))]
     return "\n\n".join(lines + [f"Note: {note}" for note in told])
 
 
 def markdown(rows: Sequence[dict[str, object]] | Sequence[dict[str, str]]) -> str:
-    """A pipe table, "" of no rows; a pipe in a name, which is the user's, is none of its."""
+    """A pipe table, "" of no rows; what would be markup in a name, which is the user's, is none, but for `Markup`."""
     kept = [
-        {key: value.replace("|", "\\|") if isinstance(value, str) else value for key, value in row.items()}
+        {
+            escaped(key): escaped(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+            for key, value in row.items()
+        }
         for row in rows
     ]
     return tabulate(kept, headers="keys", tablefmt="pipe", disable_numparse=True)

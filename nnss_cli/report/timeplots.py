@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from nnss_cli.datasets.record import FloatArray
 from nnss_cli.datasets.units import has_unit
 from nnss_cli.report.dense import envelope, is_dense, rms, thinned
 from nnss_cli.report.figures import add_legend, wrapped
-from nnss_cli.report.style import MEASURED, SCREEN, TICK_STEPS, Axis, Look, style_of, styles_of
+from nnss_cli.report.style import MEASURED, SCREEN, TICK_STEPS, Axis, Look, axis_label, shortened, style_of, styles_of
 
 ROOM = 1.5  # ranges of the measured output that a panel reaches beyond it
 ENVELOPE = "envelope: least and largest values"
@@ -79,7 +78,7 @@ def draw_simulation(
                     panels[row], panels[row + 1] if residuals else None, t, measured[part, i],
                     {looks[method].label: y[part, i] for method, (_, y) in simulated.items()}, dense,
                 )  # fmt: skip
-                panels[row].set_ylabel(textwrap.fill(str(outputs[i]), 24))
+                panels[row].set_ylabel(axis_label(outputs[i].name, outputs[i].unit, 24))
                 if residuals:
                     panels[row + 1].axhline(0, color="0.3", linewidth=0.6)
                     panels[row + 1].set_ylabel(f"residual{', rms' * dense}{_unit(outputs[i])}")
@@ -173,10 +172,11 @@ def _draw_inputs(panel: Any, time: FloatArray, inputs: Sequence[tuple[Axis, Floa
             u = row + 0.8 * ((u - u.min()) / span if span > 0 else np.full(len(u), 0.5))
         draw_line(panel, time, u, is_dense(u), True, color="0.25", linewidth=0.9, drawstyle="steps-post")
     if len(inputs) == 1:
-        panel.set_ylabel(textwrap.fill(str(inputs[0][0]), 14))
+        panel.set_ylabel(axis_label(inputs[0][0].name, inputs[0][0].unit, 14))
         return
     panel.set_label("inputs")
-    panel.set_yticks([row + 0.4 for row in range(len(inputs))], [axis.name for axis, _ in inputs], fontsize="x-small")
+    names = [shortened(axis.name, 24) for axis, _ in inputs]
+    panel.set_yticks([row + 0.4 for row in range(len(inputs))], names, fontsize="x-small")
     panel.set_ylabel("inputs, each\nover its range")
     panel.grid(False, axis="y")
 
@@ -220,11 +220,11 @@ def draw_states(
         )  # fmt: skip
         for i in range(m):
             draw_line(panels[i, 0], time, measured[:, i], is_dense(measured[:, i]), True, color="black", linewidth=0.9)
-            panels[i, 0].set_ylabel(textwrap.fill(str(outputs[i]), 16), fontsize="small")
+            panels[i, 0].set_ylabel(axis_label(outputs[i].name, outputs[i].unit, 16), fontsize="small")
         for i in range(n):
             dense = is_dense(states[:, i])
             draw_line(panels[m + i, 0], time, states[:, i], dense, True, color=style_of("nnss").colour, linewidth=0.9)
-            panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]")
+            panels[m + i, 0].set_ylabel(f"$x_{{{i + 1}}}$ [–]", parse_math=True)
         if any(is_dense(signal) for signal in (*measured.T, *states.T)):
             panels[0, 0].set_title(ENVELOPE, fontsize="small", loc="left")
         for panel in panels[:, 0]:

@@ -15,7 +15,7 @@ from nnss_cli.datasets.units import has_unit, p_text, titled
 from nnss_cli.report.cells import whole
 from nnss_cli.report.figures import few_log_ticks
 from nnss_cli.report.inspection import LOOKS
-from nnss_cli.report.style import STYLE, band_look, style_of
+from nnss_cli.report.style import STYLE, axis_label, band_look, shortened, style_of
 from nnss_cli.report.tables import number, percent
 from nnss_cli.validation.gain import ALONE, MARGIN, Gain
 from nnss_cli.validation.predictor import StepTable
@@ -149,7 +149,8 @@ def draw_validation(found: Validation) -> Figure:
     each = found.outputs[index]
     driver = int(np.argmin([tie.p_value for tie in each.depends]))
     several = len(found.outputs) > 1 or len(found.channels.inputs) > 1
-    drawn = f"\ndrawn: output {each.name}, input {found.channels.inputs[driver]}" if several else ""
+    names = shortened(each.name, 60), shortened(found.channels.inputs[driver], 60)
+    drawn = f"\ndrawn: output {names[0]}, input {names[1]}" if several else ""
     with plt.rc_context(STYLE | {"font.size": 8}):
         lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
         heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, *[2.4] * bool(found.linear.points)]
@@ -167,8 +168,8 @@ def draw_validation(found: Validation) -> Figure:
 def _draw_verdict(block: Any, lines: Sequence[str], title: str) -> None:
     panel = block.subplots()
     panel.axis("off")
-    panel.set_title(title.replace("$", r"\$"), fontsize=10)
-    panel.text(0, 1, "\n".join(lines).replace("$", r"\$"), va="top", fontsize=7.5, transform=panel.transAxes)
+    panel.set_title(title, fontsize=10)
+    panel.text(0, 1, "\n".join(lines), va="top", fontsize=7.5, transform=panel.transAxes)
 
 
 def _draw_record(block: Any, found: Validation, i: int) -> None:
@@ -180,7 +181,7 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
         low_limit, high_limit = (limit[:, i] for limit in found.limits.pair)
         top.fill_between(found.time, low_limit, high_limit, label=found.limits.name, **band_look(look.colour))
     each = found.outputs[i]
-    top.set_ylabel(textwrap.fill(titled(each.name, each.unit), 22))
+    top.set_ylabel(axis_label(each.name, each.unit, 22))
     top.legend(ncols=3, **ABOVE)
     low.plot(
         found.time, found.measured[:, i] - found.simulated[:, i], color=look.colour, linewidth=0.7,
@@ -199,16 +200,16 @@ def _draw_record(block: Any, found: Validation, i: int) -> None:
 
 def _draw_residuals(block: Any, found: Validation, each: OutputCheck, driver: int) -> None:
     left, middle, right = block.subplots(1, 3)
-    tie = each.depends[driver]
+    tie, of = each.depends[driver], shortened(found.channels.inputs[driver], 60)
     for panel, correlation, first, band, title, p in (
         (left, each.white.correlation, 1, each.white.band, "residuals with themselves", each.white.p_value),
-        (middle, tie.correlation, 0, tie.band, f"residuals with {found.channels.inputs[driver]}", tie.p_value),
+        (middle, tie.correlation, 0, tie.band, f"residuals with {of}", tie.p_value),
     ):
         lags = np.arange(first, first + len(correlation))
         panel.axhspan(-band, band, color="0.88", label="99 % band of one lag")
         panel.vlines(lags, 0, correlation, color="#0072B2", linewidth=1.4)
         panel.axhline(0, color="black", linewidth=0.6)
-        panel.set_title(textwrap.fill(f"{title}, {p_text(p)}", 40).replace("$", r"\$"), fontsize=8)
+        panel.set_title(textwrap.fill(f"{title}, {p_text(p)}", 40), fontsize=8)
         panel.set_xlabel("lag [samples]")
         panel.set_ylabel("correlation")
         largest = max(1.6 * band, 1.15 * float(np.abs(correlation).max()))
@@ -235,7 +236,7 @@ def _draw_profiles(block: Any, found: Validation, each: OutputCheck, driver: int
     left, middle, right = block.subplots(1, 3)
     state = int(np.argmax([-1.0 if part is None else part.share for part in each.by_state]))
     unit = found.channels.input_units[driver]
-    _draw_profile(left, each.by_input[driver], titled(found.channels.inputs[driver], unit), each)
+    _draw_profile(left, each.by_input[driver], axis_label(found.channels.inputs[driver], unit, 30), each)
     _draw_profile(middle, each.by_state[state], f"state x{state + 1}", each)
     angle = np.linspace(0, 2 * np.pi, 400)
     right.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
@@ -258,7 +259,7 @@ def _draw_profiles(block: Any, found: Validation, each: OutputCheck, driver: int
 
 
 def _draw_profile(panel: Any, part: Profile | None, name: str, each: OutputCheck) -> None:
-    panel.set_xlabel(textwrap.fill(name, 30).replace("$", r"\$"))
+    panel.set_xlabel(name)
     panel.set_ylabel(f"mean residual {'' if each.unit == '–' else f'[{each.unit}]'}".strip())
     if part is None:
         panel.set_title("it does not vary", fontsize=8)

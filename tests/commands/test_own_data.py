@@ -11,6 +11,7 @@ import pytest
 from conftest import slow_but
 
 import nnss_cli
+from nnss_cli.report import figures
 
 K = 240
 QUICK = ("--methods", "n4sid", "ssregest", "--orders", "1", "2")
@@ -368,3 +369,29 @@ def test_a_model_of_signals_without_a_drift_takes_records_without_it(here: Path)
     }
     assert slopes["level"] == pytest.approx(np.polyfit(table.t[:144], (table.level + drift)[:144], 1)[0], rel=1e-3)
     assert set(slopes) == {"valve", "pump", "level"}
+
+
+def test_letters_that_a_figure_cannot_show_are_told_in_one_line(nnss: Callable, here: Path) -> None:
+    figures._tell_of_the_font.cache_clear()
+    write_csv(plant(0).rename(columns={"level": "水位", "valve": "$valve$"}), here / "plant.csv")
+    roles = ("--inputs", "$valve$", "pump", "--outputs", "水位", "--ts", "0.1")
+    seen = nnss("inspect", "plant.csv", *roles)
+    assert seen.code == 0, seen.err
+    (line,) = (line for line in seen.err.splitlines() if "font" in line)
+    assert line.startswith("nnss: figures: the font has no letters for some names")
+    assert ".py" not in seen.err
+
+
+@pytest.mark.system
+def test_the_title_of_a_description_heads_what_is_made_of_it(nnss: Callable, here: Path) -> None:
+    write_csv(plant(0), here / "plant.csv")
+    text = 'files = ["plant.csv"]\ninputs = ["valve", "pump"]\noutputs = ["level"]\ntime = "t"\n'
+    Path("plant.toml").write_text(text + 'title = "Tank in the yard"\n')
+    trained = nnss("train", "plant.toml", "--method", "n4sid", "--order", "1")
+    assert trained.code == 0, trained.err
+    assert "Tank in the yard (plant), protocol own, n4sid, order 1" in trained.out
+    assert json.loads(Path("results/plant/own/runs/n4sid-n1-s0/run.json").read_text())["title"] == "Tank in the yard"
+    ordered = nnss("order", "plant.toml", "--max-order", "2")
+    assert "Tank in the yard (plant), protocol own: N4SID by order" in ordered.out
+    assert nnss("report").code == 0
+    assert "## Tank in the yard (plant), protocol `own`" in Path("results/report.md").read_text().splitlines()

@@ -356,7 +356,9 @@ def test_other_methods_and_orders_are_not_run_on_other_data(
     first, second = small_data(seed=1), small_data(seed=2)
     execute(plan(store, first, select(["n4sid"]), [2], [0], {}, False).todo[0], first, store)
     expected = rf"runs of n4sid, order 2, with {re.escape(OTHER_DATA)}"
-    with pytest.raises(InputError, match=f"{expected}: take another folder with --out, or --force"):
+    with pytest.raises(
+        InputError, match=f"{expected}, here its samples of train, val, test: take another folder with --out"
+    ):
         plan(store, second, select([method]), [states], [0], {}, False)
     with pytest.raises(InputError, match=f"{expected}, which this command does not replace"):
         plan(store, second, select([method]), [states], [0], {}, True)

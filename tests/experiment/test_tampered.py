@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -134,6 +135,42 @@ def test_what_is_wrong_is_named(path: tuple, value: Any, words: str, sound: Stor
     with pytest.raises(InputError, match=rf"n4sid-n2-s0.*({words}).*remove the folder") as told:
         store.results()
     assert len(str(told.value).splitlines()) == 1
+
+
+DAMAGED: list[tuple[Callable[[str], str], str]] = [
+    (lambda text: text[:30], """, found '{ "spec": { """),
+    (lambda _: "", "(Invalid JSON: EOF while parsing a value at line 1 column 0, found '')"),
+    (lambda _: "3", "(Input should be an object, found 3)"),
+    (
+        lambda text: re.sub(r'"nrmse": [^,]+', '"nrmse": NaN', text),
+        ", nrmse nan, fit_percent ",
+    ),
+]
+
+
+@pytest.mark.parametrize(("damage", "words"), DAMAGED)
+def test_a_damaged_run_is_told_in_plain_words(
+    damage: Callable[[str], str], words: str, sound: Store, tmp_path: Path
+) -> None:
+    store = copied(sound, tmp_path)
+    path = store.folder_of("n4sid-n2-s0") / "run.json"
+    path.write_text(damage(path.read_text()))
+    (line,) = store.read().faults.values()
+    assert words in line
+    assert line.count("run.json") == 1
+    assert "b'" not in line
+    assert "(: " not in line
+
+
+def test_a_run_in_anothers_folder_is_told_once(sound: Store, tmp_path: Path) -> None:
+    store = copied(sound, tmp_path)
+    store.folder_of("n4sid-n2-s0").rename(store.folder_of("n4sid-n2-s1"))
+    (line,) = store.read(touch=False).faults.values()
+    assert line.count("is not a finished run of this version") == 1
+    assert line.count("run it again") == 1
+    assert (
+        "(spec: expected twotank-sim/strict/n4sid-n2-s1 in this folder, found twotank-sim/strict/n4sid-n2-s0)" in line
+    )
 
 
 @pytest.mark.parametrize("label", ["n4sid-n2-s0", "nnss-n2-s0"])

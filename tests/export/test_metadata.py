@@ -98,3 +98,15 @@ def test_the_graphs_of_onnx_have_names_and_sampling_time(written: Path) -> None:
         assert (float(about["Ts"]), about["states"]) == (TS, "x1, x2")
         assert (about["inputs"], about["outputs"]) == ("valve, pump", "level, flow, heat")
     assert len(list(written.glob("*.onnx"))) == 4
+
+
+@pytest.mark.parametrize("target", ["control", "c", "mat"])
+def test_a_unit_in_a_name_stands_once_and_every_source_file_ends_its_last_line(target: str, tmp_path: Path) -> None:
+    channels = Channels(("valve [%]",), ("level (cm)", "pressure"), ("%",), ("cm", "–"))
+    scaling = Scaling(np.zeros(1), np.ones(1), np.zeros(2), np.ones(2))
+    found = NNSS(Architecture(1, 1, 2, hidden=(4,), encoder=(4,), dtype="float64"), scaling, channels, TS)
+    found.initialise(np.random.default_rng(0))
+    export(TrainedModel(found), target, tmp_path, "plant")
+    sources = {path.name: path.read_text() for path in tmp_path.iterdir() if path.suffix in (".py", ".c", ".h", ".m")}
+    assert any("Inputs u: valve [%]. Outputs y: level (cm), pressure." in text for text in sources.values())
+    assert [name for name, text in sources.items() if not text.endswith("\n") or text.endswith("\n\n")] == []

@@ -467,6 +467,14 @@ def test_comments_cannot_be_left(tmp_path: Path) -> None:
         assert export(model, target, tmp_path / target).files
 
 
+@pytest.mark.parametrize("name", ["a/*b", "//*/ **/", f"{'u' * 60} {'v' * 34} ??/", "// back\\"])
+def test_comments_of_c_hold_whatever_a_name_may_be(name: str, tmp_path: Path) -> None:
+    """All warnings are errors: of "/*" within a comment, and of a trigraph that ends a line."""
+    model = untrained("schur", "x", 1, (1, 1))
+    model.model.channels = replace(model.channels, inputs=(name,), outputs=(f"{name}_",), output_units=(name[:20],))
+    assert export(model, "c", tmp_path).files
+
+
 @pytest.mark.system
 def test_the_module_of_control_stands_alone(tried: Callable, tmp_path: Path) -> None:
     """In an interpreter that cannot import nnss."""

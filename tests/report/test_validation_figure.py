@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from nnss_cli.datasets.record import Channels
 
 from nnss_cli.report import validation as report
@@ -286,3 +287,16 @@ def test_a_p_value_that_is_no_number_any_more_is_not_said_to_be_zero(page: Any) 
     white = replace(FOUND.outputs[1].white, p_value=0.0)
     left = page(replace(FOUND, outputs=(FOUND.outputs[0], replace(FOUND.outputs[1], white=white))))[3]
     assert left.get_title() == "residuals with themselves, p < 1e-16"
+
+
+def test_names_of_channels_are_no_formulas_and_are_cut_where_they_are_long() -> None:
+    names = (r"$\foo$", "x" * 300)
+    outputs = tuple(replace(each, name=name) for each, name in zip(FOUND.outputs, names, strict=True))
+    figure = report.draw_validation(
+        replace(FOUND, outputs=outputs, channels=replace(FOUND.channels, inputs=names[::-1], outputs=names))
+    )
+    figure.canvas.draw()  # an error if they were
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    assert sum(names[0] in text for text in texts) >= 2
+    assert max(len(line) for text in texts for line in text.splitlines()) < 200
+    plt.close(figure)

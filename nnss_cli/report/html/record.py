@@ -22,6 +22,7 @@ from nnss_cli.report.aggregate import (
     several_outputs,
     split_name,
     splits_of,
+    titled_by,
 )
 from nnss_cli.report.evidence import not_the_papers, optimism_rows, paper_rows, released_rows
 from nnss_cli.report.html.candidates import candidate_rows
@@ -174,8 +175,9 @@ def section_of(store: Store, made_of: Table, looks: dict[str, Look], anchor: str
     found = studies(store)
     entry = BENCHMARKS.usable(store.dataset)
     splits = splits_of(results)
+    about = f"{entry.title}. Source: {entry.citation}." if entry else titled_by(results)
     return Section(
-        anchor, store.dataset, store.protocol, f"{entry.title}. Source: {entry.citation}." if entry else "",
+        anchor, store.dataset, store.protocol, about,
         len(results), [looks[name] for name in methods_of(results)], sorted({r.spec.order for r in results}),
         [(name, split_name(name)) for name in splits], scored_splits(results),
         _rows(results, looks), _boxes(results, looks, anchor), simulation_traces(store, results, looks, anchor),
