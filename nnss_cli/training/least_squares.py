@@ -14,7 +14,7 @@ stochastic Hessian information in optimization methods for machine learning", SI
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ FIRST_DAMPING = 1e-2
 FLOOR = 1e-3  # smallest scale of a column, relative to the largest
 LARGEST_DAMPING = 1e12  # no step helps any more
 ACCEPTED = 1e-4  # decrease found over the decrease foreseen, at least
+JOINED = 500  # samples of short blocks whose JᵀJ is taken at once: each costs the memory traffic of a long one
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,22 +81,44 @@ class NormalEquations:
         """
         gram, slope, squares, count = np.zeros((0, 0)), np.zeros(0), 0.0, 0
         states: list[FloatArray] = []
-        for block in blocks:  # where one is not finite, so is the sum
-            n = block.derivatives.shape[1] - p
+        for together in joined(blocks, JOINED if every == 1 else 0):  # where one is not finite, so is the sum
+            errors, J = stacked([one.errors for one in together]), stacked([one.derivatives for one in together])
+            n = J.shape[1] - p
             if not states:
                 gram, slope = np.zeros((p + windows * n,) * 2), np.zeros(p + windows * n)
-            errors, J = (part.astype(np.float64, copy=False) for part in (block.errors, block.derivatives))
-            own = slice(p + block.window * n, p + (block.window + 1) * n)
-            part = cls.of(errors, J, len(errors) // len(block.x), every)
+            part = cls.of(errors, J, len(errors) // sum(len(one.x) for one in together), every)
             gram[:p, :p] += part.gram[:p, :p]
-            gram[own, :p] += part.gram[p:, :p]
-            gram[own, own] += part.gram[p:, p:]
             slope[:p] += part.slope[:p]
-            slope[own] += part.slope[p:]
             squares += part.squares
             count += part.count
-            states.append(block.x)
+            at = 0
+            for one in together:
+                own = slice(p + one.window * n, p + (one.window + 1) * n)
+                e, D = errors[at : at + len(one.errors)], J[at : at + len(one.errors)]
+                by_x0 = part.gram[p:] if len(together) == 1 else D[:, p:].T @ D
+                gram[own, :p] += by_x0[:, :p]
+                gram[own, own] += np.tril(by_x0[:, p:])
+                slope[own] += part.slope[p:] if len(together) == 1 else D[:, p:].T @ e
+                states.append(one.x)
+                at += len(e)
         return cls(gram, slope, squares, count), states
+
+
+def joined(blocks: Iterable[Block], samples: int) -> Iterator[list[Block]]:
+    """One block after the other, several at once as long as they have so many samples together at most."""
+    waiting: list[Block] = []
+    for block in blocks:
+        if waiting and sum(len(one.x) for one in (*waiting, block)) > samples:
+            yield waiting
+            waiting = []
+        waiting.append(block)
+    if waiting:
+        yield waiting
+
+
+def stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """One below the other, in float64; not a copy where that is what there is."""
+    return (parts[0] if len(parts) == 1 else np.concatenate(parts)).astype(np.float64, copy=False)
 
 
 def levenberg_marquardt(
