@@ -87,11 +87,12 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)
     radius = float(np.abs(poles).max()) if poles.size else math.nan
     try:
-        band = found.limits_of_simulation(records[0], BAND)
+        band = found.limits_of_simulation(records, BAND)
     except InputError:  # too short a validation record for it
         band = None
     return Validation(
-        trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
+        trained.label, name, sum(map(len, records)), len(records), left_out, trained.channels, tuple(outputs), steps,
+        tests,
         (
             *verdict(
                 outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained), beyond

@@ -18,6 +18,7 @@ from nnss_cli.validation.gain import Gain
 from nnss_cli.validation.overlap import samples_in
 from nnss_cli.validation.predictor import Predictor
 from nnss_cli.validation.residuals import dependence, whiteness
+from nnss_cli.validation.result import as_dict
 from nnss_cli.validation.trained import Fitting, Forecaster
 
 W = 3
@@ -168,4 +169,11 @@ def test_numbers_are_those_of_a_second_computation(
     squares = sum(np.sum(part[W:] ** 2, axis=0) for part in one_ahead)
     np.testing.assert_allclose(found.steps.predicted[0], np.sqrt(squares / (460 - 2 * W)))
     assert found.steps.horizons == (1, 2, 5, 10, 20)
+    half = found.limits.band.half_width  # from the first record, which is 300 samples of 460
+    held = sum(np.sum(np.abs(part[W:]) <= half, axis=0) for part in free) / (460 - 2 * W)
+    np.testing.assert_allclose(found.limits.held, held)
+    assert np.all(held != np.mean(np.abs(free[0][W:]) <= half, axis=0))
+    np.testing.assert_allclose(found.limits.high[:, 0], records[0].y[:, 0] - free[0][:, 0] + half[0])  # which is drawn
+    assert (found.experiments, found.samples) == (2, 460)
+    assert as_dict(found)["band"]["held"] == held.tolist()  # type: ignore[index]
     assert found.radius == pytest.approx(np.abs(np.linalg.eigvals(A)).max())
