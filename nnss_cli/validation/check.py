@@ -58,7 +58,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     begin = unscored(w)
     scaling = trained.scaling or Scaling.of(found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
-    reached = fitted_limits(records, trained.order)
+    reached = fitted_limits(records, trained.order, begin)
     if isinstance(trained.model, LinearModel):
         reached = larger(reached, [score.fit_percent for score in scores])
     limits = larger(coherence_limits(records), reached)

@@ -35,7 +35,8 @@ def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
     def run(records: list[Record], K: FloatArray, rate: float, limits: tuple[float | None, ...]) -> Any:
         monkeypatch.setattr(check, "coherence_limits", lambda _: list(limits))
-        monkeypatch.setattr(check, "fitted_limits", lambda *_: [None] * len(limits))
+        asked: list[tuple[int, ...]] = []  # order and first samples that are not scored
+        monkeypatch.setattr(check, "fitted_limits", lambda _, *of: asked.append(of) or [None] * len(limits))
         named = Channels(("u1", "u2"), ("y1", "y2"), ("–", "–"), ("–", "–"))
         model = LinearModel(LinearStateSpace(A, B, C, D, 0.5), SCALING, named)
         trained = TrainedModel(
@@ -43,9 +44,11 @@ def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             origin=SimpleNamespace(init_window=W, order=3, method="n4sid", seed=0, dataset="plant", protocol="strict"),
         )  # type: ignore[arg-type]
         gain = Gain(K, "Kalman", rate, rate, {"none": 1.0})
-        return validate(
+        found = validate(
             Forecaster(trained, Predictor(model, (K,)), (gain,), Fitting((records[0],), (records[0],))), records, "new"
         )
+        assert asked == [(3, W)]
+        return found
 
     return run
 
