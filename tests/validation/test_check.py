@@ -86,18 +86,23 @@ def test_samples_that_a_part_of_the_model_has_seen_are_told() -> None:
     """Of protocol paper's two-tank validation is the first third of test."""
     records = experiments((300, 160))
     fitting = Fitting((records[1],), (records[0][40:90],))
-    lines = list(check._known(fitting, records))
+    lines = list(check._known((fitting,), records))
     assert lines == [
         "No independent evidence: the model or its predictor was fitted to 160 of these 460 samples.",
         "No independent evidence: the model's epoch, the predictor's gain and the bands were chosen on 50 of these 460 "
         "samples.",
     ]
-    assert list(check._known(fitting, [replace(records[0], y=records[0].y + 1e-9)])) == []
+    own, given = Fitting((records[0][:100],), ()), Fitting((records[0][80:150],), (records[1],))
+    assert [line.split(": ")[1] for line in check._known((own, given), records)] == [
+        "the model or its predictor was fitted to 150 of these 460 samples.",  # those that both have count once
+        "the model's epoch, the predictor's gain and the bands were chosen on 160 of these 460 samples.",
+    ]
+    assert list(check._known((fitting,), [replace(records[0], y=records[0].y + 1e-9)])) == []
     later = records[0].y.copy()
     later[89] += 1e-9  # the last sample of validation
-    (told,) = check._known(fitting, [replace(records[0], y=later)])
+    (told,) = check._known((fitting,), [replace(records[0], y=later)])
     assert "chosen on 49 of these 300 samples" in told
-    (told,) = check._known(fitting, [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
+    (told,) = check._known((fitting,), [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
     assert "chosen on 30 of these 70 samples" in told
 
 
