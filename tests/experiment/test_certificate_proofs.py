@@ -23,7 +23,7 @@ from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.experiment.certificate.equilibria import equilibrium
 from nnss_cli.experiment.certificate.region import Region, directions, invariant, inverse, never_left, surrounding
 from nnss_cli.experiment.certificate.result import Gain
-from nnss_cli.experiment.certificate.statements import small_gain
+from nnss_cli.experiment.certificate.statements import of_one_matrix, small_gain
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import STABILITIES, Architecture
 from nnss_cli.model.incremental import Lure
@@ -398,6 +398,12 @@ def test_statements_of_linear_models_are_exact_and_those_of_unstable_ones_refute
         assert unstable.gain.bound is None
         assert unstable.gain.status == "unknown"
     assert {each.status for each in of(1.0).statements} == {"unknown"}  # on the circle, rounding decides
+    twice = LinearStateSpace(
+        np.array([[3.0, -1.0], [4.0, -1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 1.0
+    )
+    radius, margin = lti.spectral_radius(twice.A)  # 1, and 1 again: found 3e-8 beyond it
+    assert 1 < radius < 1 + margin
+    assert {each.status for each in of_one_matrix(twice, 1.0)} == {"unknown"}
 
 
 def test_a_model_whose_matrices_do_not_vary_gets_the_exact_answer() -> None:
