@@ -87,6 +87,20 @@ def test_a_long_record_is_scored_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> 
     assert 100 * (1 - e.std() / (plant + e).std()) < 80
 
 
+def test_linear_models_of_several_orders_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SSEST of the model's own order and one more, N4SID of 2, 4 and 6 by two weightings."""
+    tried: list[tuple[str, int]] = []
+
+    def refuse(name: str, order: int) -> LinearStateSpace:
+        tried.append((name, order))
+        raise InputError("too short")
+
+    monkeypatch.setattr(limit, "ssest", lambda _, __, order: refuse("ssest", order))
+    monkeypatch.setattr(limit, "n4sid", lambda _, order, __: refuse("n4sid", order))
+    assert fitted_limits(experiments((0.0,)), 3) == [None, None]
+    assert tried == [("ssest", 3), ("ssest", 4), *(("n4sid", order) for order in (2, 2, 4, 4, 6, 6))]
+
+
 def run(model: LinearStateSpace, scaling: Scaling, record: Record) -> FloatArray:
     scaled = scaling.apply(record)
     return scaling.restore_y(model.simulate(scaled.u, model.initial_state(scaled))[0])
