@@ -17,6 +17,7 @@ from nnss_cli.export.parity import Parity, Trial, check
 from nnss_cli.export.source import PYTHON, Constants, statements
 from nnss_cli.files import write_bytes, write_text
 from nnss_cli.trained import TrainedModel
+from nnss_cli.trained.linear import control_names
 
 TOLERANCE = 1e-12
 
@@ -24,6 +25,7 @@ TOLERANCE = 1e-12
 def write_control(model: TrainedModel, facts: dict[str, Any], trial: Trial, folder: Path, name: str) -> list[Parity]:
     """<name>.py and <name>.npz, checked."""
     constants = Constants("_C.")
+    inputs, outputs = control_names(model.channels)
     text = [
         *(f"# {line}".rstrip() for line in header(facts)),
         "#",
@@ -40,8 +42,8 @@ def write_control(model: TrainedModel, facts: dict[str, Any], trial: Trial, fold
         "",
         f'_FILE = Path(__file__).with_name("{name}.npz")',
         "_C = SimpleNamespace(**np.load(_FILE, allow_pickle=False))",
-        f"INPUTS = {list(facts['inputs'])!r}",
-        f"OUTPUTS = {list(facts['outputs'])!r}",
+        f"INPUTS = {inputs!r}",
+        f"OUTPUTS = {outputs!r}",
         f"STATES = {facts['states']!r}",
         f"TS = {model.Ts!r}",
         *_function(

@@ -143,20 +143,24 @@ def draw_validation(found: Validation) -> Figure:
     """One page: the record, residuals, errors ahead, poles and linearisations.
 
     Of several outputs and inputs the one with the largest RMSE/σ, and the input that its residuals depend on most, are
-    drawn; the title says which.
+    drawn, and of several experiments the signals of the first; the title says which.
     """
     index = int(np.argmax([each.rmse / each.sigma for each in found.outputs]))
     each = found.outputs[index]
     driver = int(np.argmin([tie.p_value for tie in each.depends]))
     several = len(found.outputs) > 1 or len(found.channels.inputs) > 1
     names = shortened(each.name, 60), shortened(found.channels.inputs[driver], 60)
-    drawn = f"\ndrawn: output {names[0]}, input {names[1]}" if several else ""
+    drawn = [f"signals of record 1 of {found.experiments}"] * (found.experiments > 1)
+    drawn += [f"output {names[0]}", f"input {names[1]}"] * several
+    title = f"{found.label}\non {found.record}, {found.samples} samples"
+    if drawn:
+        title += f"\ndrawn: {', '.join(drawn)}"
     with plt.rc_context(STYLE | {"font.size": 8}):
         lines = [line for text in found.verdict for line in textwrap.wrap(f"– {text}", 150, subsequent_indent="   ")]
         heights = [0.7 + 0.14 * len(lines), 2.7, 2.3, 2.3, *[2.4] * bool(found.linear.points)]
         figure = plt.figure(figsize=(9.6, sum(heights)), layout="constrained")
         rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
-        _draw_verdict(rows[0], lines, f"{found.label}\non {found.record}, {found.samples} samples{drawn}")
+        _draw_verdict(rows[0], lines, title)
         _draw_record(rows[1], found, index)
         _draw_residuals(rows[2], found, each, driver)
         _draw_profiles(rows[3], found, each, driver)

@@ -9,6 +9,7 @@ of which A(x) is the first term. docs/api.md shows how far apart the two may be.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -127,6 +128,25 @@ def _newton(system: System, z: FloatArray, u: FloatArray) -> tuple[FloatArray, f
     return z, size
 
 
+def control_names(channels: Channels) -> tuple[list[str], list[str]]:
+    """Names of the inputs and the outputs that python-control accepts: with '_' for each '.', which it refuses.
+
+    Where another channel has that name already, '_2', '_3', … follow it: control connects signals of the same name.
+    """
+    taken = {*channels.inputs, *channels.outputs}
+
+    def accepted(name: str) -> str:
+        if "." not in name:
+            return name
+        plain = name.replace(".", "_")
+        endings = itertools.chain([""], (f"_{number}" for number in itertools.count(2)))
+        found = next(plain + ending for ending in endings if plain + ending not in taken)
+        taken.add(found)
+        return found
+
+    return list(map(accepted, channels.inputs)), list(map(accepted, channels.outputs))
+
+
 def linearised(system: System, channels: Channels, Ts: float, u: FloatArray) -> Any:
     """The Jacobians at the equilibrium under u (r,), as a control.StateSpace of deviations from it.
 
@@ -136,9 +156,8 @@ def linearised(system: System, channels: Channels, Ts: float, u: FloatArray) -> 
     import control
 
     A, B, C, D = system.jacobians(equilibrium(system, u).z, u)
-    return control.ss(
-        A, B, C, D, Ts, inputs=list(channels.inputs), outputs=list(channels.outputs), states=list(system.state_names)
-    )
+    inputs, outputs = control_names(channels)
+    return control.ss(A, B, C, D, Ts, inputs=inputs, outputs=outputs, states=list(system.state_names))
 
 
 def to_control(system: System, channels: Channels, Ts: float) -> Any:
@@ -151,7 +170,7 @@ def to_control(system: System, channels: Channels, Ts: float) -> Any:
     def output(_: float, z: FloatArray, u: FloatArray, __: Any) -> FloatArray:
         return system.advance(np.asarray(z, dtype=np.float64), np.reshape(u, -1))[1]
 
+    inputs, outputs = control_names(channels)
     return control.nlsys(
-        update, output, inputs=list(channels.inputs), outputs=list(channels.outputs), states=list(system.state_names),
-        dt=Ts, name="model",
-    )  # fmt: skip
+        update, output, inputs=inputs, outputs=outputs, states=list(system.state_names), dt=Ts, name="model"
+    )

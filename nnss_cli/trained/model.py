@@ -168,7 +168,8 @@ class TrainedModel:
             u: input (r,), physical units; a number for one.
 
         Returns:
-            Discrete time, with the channels' names; inputs, outputs and states are deviations from the equilibrium.
+            Discrete time, with the channels' names ('_' for '.'); inputs, outputs and states are deviations from the
+            equilibrium.
 
         Raises:
             InputError: there is no equilibrium.
@@ -178,7 +179,7 @@ class TrainedModel:
     def to_control(self) -> Any:
         """The whole model as a control.NonlinearIOSystem in discrete time and physical units.
 
-        Its response from `initial_state` is that of `simulate`.
+        Its response from `initial_state` is that of `simulate`. Signals have the channels' names, '_' for '.'.
         """
         return to_control(self.system, self.channels, self.Ts)
 

@@ -56,9 +56,12 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     rates = tuple(max(gain.rate, here) for gain, here in zip(found.gains, found.rates_along(records), strict=True))
     left_out = max(w, min(needed, shortest // 5))
     begin = unscored(w)
-    scaling = trained.scaling or Scaling.of(found.fitting.train)
+    # what the model was trained on, as far as it is known: the predictor may be fitted to other records (--data)
+    kept = trained.records()
+    own = Fitting(kept.get("train", ()), kept.get("val", ()))
+    scaling = trained.scaling or Scaling.of(own.train or found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
-    reached = fitted_limits(records, trained.order)
+    reached = fitted_limits(records, trained.order, begin)
     if isinstance(trained.model, LinearModel):
         reached = larger(reached, [score.fit_percent for score in scores])
     limits = larger(coherence_limits(records), reached)
@@ -83,20 +86,21 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     poles = pole_map(trained, records, simulated)
     linear = linearisations(trained, records)
     signals = (np.concatenate([getattr(record, name) for record in records]) for name in ("u", "y"))
-    beyond = beyond_training(found.fitting.train, trained.channels, *signals)
+    beyond = beyond_training(own.train, trained.channels, *signals)
     tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)
     radius = float(np.abs(poles).max()) if poles.size else math.nan
     try:
-        band = found.limits_of_simulation(records[0], BAND)
+        band = found.limits_of_simulation(records, BAND)
     except InputError:  # too short a validation record for it
         band = None
     return Validation(
-        trained.label, name, sum(map(len, records)), left_out, trained.channels, tuple(outputs), steps, tests,
+        trained.label, name, sum(map(len, records)), len(records), left_out, trained.channels, tuple(outputs), steps,
+        tests,
         (
             *verdict(
                 outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained), beyond
             ),
-            *_known(found.fitting, records), *_early(left_out, needed),
+            *_known((own, found.fitting), records), *_early(left_out, needed),
         ),
         tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
         np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,
@@ -108,12 +112,15 @@ def _forgetting(rate: float) -> int:
     return math.ceil(math.log(FORGOTTEN) / math.log(rate)) if 0 < rate < 1 else 0
 
 
-def _known(fitting: Fitting, records: Sequence[Record]) -> Iterator[str]:
+def _known(made_on: Sequence[Fitting], records: Sequence[Record]) -> Iterator[str]:
     """Whether the model, its gain or its bands had a part of these records already, as protocol paper has it."""
     total = sum(map(len, records))
     for parts, what in (
-        (fitting.train, "the model or its predictor was fitted to"),
-        (fitting.val, "the model's epoch, the predictor's gain and the bands were chosen on"),
+        ([part for each in made_on for part in each.train], "the model or its predictor was fitted to"),
+        (
+            [part for each in made_on for part in each.val],
+            "the model's epoch, the predictor's gain and the bands were chosen on",
+        ),
     ):
         if shared := sum(int(samples_in(record, parts).sum()) for record in records):
             yield f"No independent evidence: {what} {shared} of these {total} samples."

@@ -2,10 +2,11 @@
 
 Coherence says which share of an output's power the inputs leave unexplained linearly, S_yy (1 − γ²) summed over the
 frequencies; but what outlasts its segments passes for unexplained, which on short records of slow plants is much. A
-linear model that was fitted to the record and simulates it better than that is a proof that more can be reached. The
-larger of both is told, an estimate of what any linear relation explains: models may reach more, where neither sees it,
-or less, since coherence counts acausal relations, too. Of u(k) = y(k − 1) with white y it tells nearly 100 %, where no
-model simulates anything. Under feedback, whose inputs follow from past outputs and their noise, it is an upper figure.
+linear model that was fitted to the record and simulates it better than that is a proof that more can be reached: it is
+fitted to an excerpt of a long record, and scored, as the model beside it, on the whole. The larger of both is told, an
+estimate of what any linear relation explains: models may reach more, where neither sees it, or less, since coherence
+counts acausal relations, too. Of u(k) = y(k − 1) with white y it tells nearly 100 %, where no model simulates anything.
+Under feedback, whose inputs follow from past outputs and their noise, it is an upper figure.
 """
 
 from __future__ import annotations
@@ -61,12 +62,15 @@ def coherence_limits(records: Sequence[Record]) -> list[float | None]:
     return found
 
 
-def fitted_limits(records: Sequence[Record], own: int) -> list[float | None]:
+def fitted_limits(records: Sequence[Record], own: int, begin: int = 0) -> list[float | None]:
     """The largest fit that linear models reach which are fitted to these records themselves, by output.
+
+    A, B, C and D come from up to `SAMPLES` lively samples, x(0) of each record and the outputs' offset from the whole.
 
     Args:
         records: experiments, any units.
         own: order of the model that is compared.
+        begin: first samples of each record that are not scored, those of that model.
 
     Returns:
         None where no model could be fitted.
@@ -77,20 +81,21 @@ def fitted_limits(records: Sequence[Record], own: int) -> list[float | None]:
     best = np.full(m, -np.inf)
     if not cut:
         return [None] * m
-    scaled = tuple(map(Scaling.of(cut).apply, cut))
-    spread = _rms([about_mean(record.y) for record in scaled])
-    ways: list[Callable[[], LinearStateSpace]] = [functools.partial(ssest, scaled, scaled, n) for n in (own, own + 1)]
+    scaling = Scaling.of(cut)
+    fitted, scored = (tuple(map(scaling.apply, each)) for each in (cut, records))
+    spread = _rms([about_mean(record.y[begin:]) for record in scored])
+    ways: list[Callable[[], LinearStateSpace]] = [functools.partial(ssest, fitted, fitted, n) for n in (own, own + 1)]
     for order in ORDERS:
         for horizon in (matlab_horizon(order, r, m), Horizon(4 * order, 4 * order, True, "moesp")):
-            ways.append(functools.partial(n4sid, scaled, order, horizon))
+            ways.append(functools.partial(n4sid, fitted, order, horizon))
     for way in ways:
         try:
             model = way()
         except (InputError, np.linalg.LinAlgError):
             continue
-        error = _rms([each.y - model.simulate(each.u, model.initial_state(each))[0] for each in scaled])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            fit = 100 * (1 - error / spread)
+        errors = [(each.y - model.simulate(each.u, model.initial_state(each))[0])[begin:] for each in scored]
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # it may run away beyond the excerpt
+            fit = 100 * (1 - np.concatenate(errors).std(axis=0) / spread)
         best = np.maximum(best, np.where(np.isfinite(fit), fit, -np.inf))
     return [float(value) if math.isfinite(value) else None for value in best]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,17 @@ class Limits:
         """Around outputs y (K, m), with an ensemble's spread where the band follows it."""
         low, high = band.limits(y, spread)
         return cls(band, low, high, _share_held(low, high, measured, init_window))
+
+    @classmethod
+    def of_experiments(
+        cls, band: Band, y: Sequence[FloatArray], measured: Sequence[FloatArray], init_window: int
+    ) -> Limits:
+        """Around the first of several experiments' outputs (K, m); the share held is of the samples of all of them."""
+        pairs = [band.limits(each) for each in y]
+        low, high, seen = (
+            np.concatenate([part[init_window:] for part in parts]) for parts in (*zip(*pairs, strict=True), measured)
+        )
+        return cls(band, *pairs[0], _share_held(low, high, seen, 0))
 
     @classmethod
     def following(cls, band: AdaptiveBand, y: FloatArray, measured: FloatArray, init_window: int) -> Limits:

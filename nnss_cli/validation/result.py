@@ -71,6 +71,8 @@ class Validation:
     """Which record."""
     samples: int
     """Samples, of all experiments."""
+    experiments: int
+    """How many they are."""
     left_out: int
     """First samples of each experiment that residuals do without, while the observer forgets its start."""
     channels: Channels
@@ -102,7 +104,8 @@ class Validation:
     one_ahead: FloatArray
     """Predicted one step ahead (K, m)."""
     limits: Limits | None
-    """Band of 90 % around the simulation; None where validation is too short."""
+    """Band of 90 % around the first experiment's simulation, with the share that it holds of all of them; None where
+    validation is too short."""
 
     @property
     def passed(self) -> bool:
@@ -131,7 +134,8 @@ def as_dict(found: Validation) -> dict[str, object]:
     outputs = [plain(output) for output in found.outputs]
     band = found.limits
     return {
-        "model": found.label, "record": found.record, "samples": found.samples, "left_out": found.left_out,
+        "model": found.label, "record": found.record, "samples": found.samples, "experiments": found.experiments,
+        "left_out": found.left_out,
         "passed": found.passed, "tests": plain(found.tests), "verdict": list(found.verdict), "outputs": outputs,
         "steps": plain(found.steps), "gains": list(found.gains), "observer_rates": plain(found.rates),
         "largest_pole": plain(found.radius), "poles": plain(found.poles),

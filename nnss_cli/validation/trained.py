@@ -96,11 +96,12 @@ class Forecaster:
             predicted, _ = guard.applied(horizon, predicted, record.y)
         return predicted, spread
 
-    def limits_of_simulation(self, record: Record, level: float) -> Limits:
-        """The band around the free simulation of a record."""
+    def limits_of_simulation(self, records: Sequence[Record], level: float) -> Limits:
+        """The band around the free simulation of the first of the records; the share held is of all of them."""
+        w = self.trained.init_window
         band = simulation_band(self.trained, self.fitting.val, level, "residuals")
-        y = free_run(self.trained.model, record.u, record.y[: self.trained.init_window]).y
-        return Limits.of(band, y, None, record.y, self.trained.init_window)
+        y = [free_run(self.trained.model, record.u, record.y[:w]).y for record in records]
+        return Limits.of_experiments(band, y, [record.y for record in records], w)
 
 
 def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fitting:

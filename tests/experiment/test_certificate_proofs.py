@@ -23,7 +23,7 @@ from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.experiment.certificate.equilibria import equilibrium
 from nnss_cli.experiment.certificate.region import Region, directions, invariant, inverse, never_left, surrounding
 from nnss_cli.experiment.certificate.result import Gain
-from nnss_cli.experiment.certificate.statements import small_gain
+from nnss_cli.experiment.certificate.statements import of_one_matrix, small_gain
 from nnss_cli.experiment.certificate.systems import Neural
 from nnss_cli.model.architecture import STABILITIES, Architecture
 from nnss_cli.model.incremental import Lure
@@ -335,6 +335,30 @@ def test_the_norm_of_a_linear_model_is_exact(pole: float) -> None:
     assert abs(pole) <= proved[0] < abs(pole) + 1e-4
 
 
+@pytest.mark.parametrize(("B", "C", "D"), [(1e-200, 1e-200, 0), (1e-160, 1e-165, 0), (1e200, 1e200, 0), (1, 1, 1e200)])
+def test_of_numbers_whose_products_vanish_or_overflow_nothing_is_proved(B: float, C: float, D: float) -> None:
+    """A response that is 0 by rounding alone is no proof of 0."""
+    one = np.ones((1, 1))
+    found = lti.norm(LinearStateSpace(0.999999 * one, B * one, C * one, D * one, 1.0))
+    assert (found.low, found.high) == (0.0, None)
+
+
+def test_a_norm_is_zero_where_the_matrices_say_so() -> None:
+    one, none = np.ones((1, 1)), np.zeros((1, 1))
+    for B, C in ((none, one), (one, none), (1e-200 * one, none)):
+        assert lti.norm(LinearStateSpace(0.5 * one, B, C, none, 1.0)).high == 0
+    for B in (none, one):  # the feedthrough alone, and with the state
+        found = lti.norm(LinearStateSpace(0.5 * one, B, one, 3 * one, 1.0)).high
+        assert found == pytest.approx(3 + 2 * B.item(), rel=1e-5)
+    chain, first, last = np.diag([0.5, 0.8, 0.2]), np.array([[2.0], [0.0], [0.0]]), np.array([[0.0, 0.0, 4.0]])
+    assert lti.norm(LinearStateSpace(chain, first, last, none, 1.0)).high == 0  # no input reaches the output
+    chain[1, 0] = chain[2, 1] = 0.1
+    found = lti.norm(LinearStateSpace(chain, first, last, none, 1.0)).high  # by way of all three states
+    assert found == pytest.approx(2 * 0.1 * 0.1 * 4 / (0.5 * 0.2 * 0.8), rel=1e-5)
+    equal = LinearStateSpace(0.5 * np.eye(2), np.ones((2, 1)), np.array([[1.0, -1.0]]), none, 1.0)
+    assert lti.norm(equal).high is None  # what cancels may do so by rounding
+
+
 def test_the_norm_is_that_of_the_frequency_response() -> None:
     random = np.random.default_rng(2)
     for n in (2, 4):
@@ -374,6 +398,12 @@ def test_statements_of_linear_models_are_exact_and_those_of_unstable_ones_refute
         assert unstable.gain.bound is None
         assert unstable.gain.status == "unknown"
     assert {each.status for each in of(1.0).statements} == {"unknown"}  # on the circle, rounding decides
+    twice = LinearStateSpace(
+        np.array([[3.0, -1.0], [4.0, -1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 1.0
+    )
+    radius, margin = lti.spectral_radius(twice.A)  # 1, and 1 again: found 3e-8 beyond it
+    assert 1 < radius < 1 + margin
+    assert {each.status for each in of_one_matrix(twice, 1.0)} == {"unknown"}
 
 
 def test_a_model_whose_matrices_do_not_vary_gets_the_exact_answer() -> None:

@@ -11,10 +11,11 @@ import pytest
 import torch
 from nnss_cli.baselines.schur import schur_inverse
 from nnss_cli.datasets.record import Channels, FloatArray, Scaling
-from scipy.optimize import brentq
+from scipy.optimize import brentq, linprog
 
 from nnss_cli.experiment.certificate import lti, multipliers
 from nnss_cli.experiment.certificate import search as searched
+from nnss_cli.experiment.certificate.branch import prove
 from nnss_cli.experiment.certificate.dissipation import Storage, _proved, _Search
 from nnss_cli.experiment.certificate.dynamics import Dynamics
 from nnss_cli.experiment.certificate.region import Region, directions, surrounding
@@ -144,6 +145,28 @@ def test_the_size_and_the_levels_of_a_region_count_its_centre() -> None:
         ellipse = region.level(S) * np.column_stack([np.cos(angle), np.sin(angle)]) @ S.T
         z = np.linalg.solve(region.shape, (ellipse - region.centre).T).T
         assert 1 - 1e-4 <= ((z @ region.normals.T) / region.offsets).max() <= 1
+
+
+def test_a_box_counts_as_a_part_of_a_region_that_it_pokes_into() -> None:
+    """Else a corner beside which the boxes have their centres outside is not seen: here a turned square's."""
+    corners_found, random = 0, np.random.default_rng(0)
+    for turn in np.linspace(0.05, 1.5, 12):
+        angles = turn + np.arange(4) * np.pi / 2
+        normals = np.concatenate([np.column_stack([np.cos(angles), np.sin(angles)]), np.eye(2), -np.eye(2)])
+        region = Region(np.zeros(2), np.eye(2), normals, np.repeat([0.7, 1.0], 4), np.zeros(1), np.zeros(1))
+        centre, half = random.uniform(-1, 1, (200, 3)), random.uniform(0, 0.5, (200, 3))  # one dimension is an input's
+        inside = centre + half * random.uniform(-1, 1, (500, 200, 3))
+        height = ((inside[:, :, :2] @ normals.T) / region.offsets).max(axis=2)
+        assert (region.depth(centre, half) <= height.min(axis=0)).all()
+        corner = linprog([-1, 0], A_ub=normals, b_ub=region.offsets, bounds=[(None, None)] * 2)
+        for beyond, holds in ((-1e-3, False), (1e-3, True)):  # x1 is at most that: false, and true
+
+            def check(c: FloatArray, h: FloatArray, most: float = beyond - corner.fun) -> Any:
+                return c[:, 0] + h[:, 0] - most, c[:, 0] - most - 1e-9, h * [1, 1e-3]
+
+            assert prove(check, region.depth, 2, 20_000, LATER).proved == holds
+        corners_found += -corner.fun < 1 - 1e-9
+    assert corners_found > 5  # where it is no face of the box
 
 
 def test_a_region_without_the_state_of_rest_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:

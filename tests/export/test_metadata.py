@@ -63,14 +63,30 @@ def test_the_head_of_a_source_file_has_each_signal_with_its_unit(written: Path) 
     assert any(heads)
 
 
-@pytest.mark.parametrize("written", ["control"], indirect=True)
-def test_the_system_of_control_has_names_and_sampling_time(written: Path) -> None:
+def module_of(written: Path) -> Any:
     spec = importlib.util.spec_from_file_location("plant", written / "plant.py")
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
     spec.loader.exec_module(module)  # type: ignore[union-attr]
-    system = module.system()
+    return module
+
+
+@pytest.mark.parametrize("written", ["control"], indirect=True)
+def test_the_system_of_control_has_names_and_sampling_time(written: Path) -> None:
+    system = module_of(written).system()
     assert (system.dt, system.input_labels, system.output_labels) == (TS, [*INPUTS], [*OUTPUTS])
     assert system.state_labels == ["x1", "x2"]
+
+
+def test_names_that_control_refuses_are_changed_in_its_system_alone(
+    model: TrainedModel, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(parity, "SAMPLES", 40)
+    dotted = ("pump.speed", "pump_speed")
+    monkeypatch.setattr(model.model, "channels", Channels(dotted, ("u.1", "y", "z"), INPUT_UNITS, OUTPUT_UNITS))
+    export(model, "control", tmp_path / "out", "plant")
+    system = module_of(tmp_path / "out").system()
+    assert (system.input_labels, system.output_labels) == (["pump_speed_2", "pump_speed"], ["u_1", "y", "z"])
+    assert json.loads((tmp_path / "out" / "plant.json").read_text())["inputs"] == [*dotted]
 
 
 @pytest.mark.parametrize("written", ["c"], indirect=True)

@@ -189,6 +189,19 @@ def test_it_is_an_lpv_model_with_an_equilibrium_at_zero(kind: tuple) -> None:
         torch.testing.assert_close(other, y, atol=0, rtol=0)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bounds_of_the_matrices_are_what_slopes_of_zero_and_one_reach(kind: tuple, seed: int) -> None:
+    """B + F Δ H and the like are affine in each slope of Δ, so that their largest entries are at corners."""
+    made = layer(architecture(kind), seed)
+    _, B, F, G, H, _, C, D, E = made.arrays()
+    corners = [np.diag(slopes) for slopes in itertools.product((0.0, 1.0), repeat=5)]
+    of = ((B, F, H), (C, E, G), (D, E, H))
+    for bound, (M, left, right) in zip(made.output_bounds(), of, strict=True):
+        reached = np.max([np.abs(M + left @ corner @ right) for corner in corners], axis=0)
+        np.testing.assert_allclose(bound, reached, rtol=1e-12, atol=1e-15)
+
+
 def test_the_secant_is_smooth_through_zero() -> None:
     v = torch.tensor([-2.0, -1e-3, -1e-9, 0.0, 1e-12, 9.99e-4, 1e-3, 3.0], dtype=torch.float64, requires_grad=True)
     b = torch.tensor(0.7, dtype=torch.float64)

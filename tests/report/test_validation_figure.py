@@ -48,7 +48,7 @@ def point(u: tuple[float, ...], at: float) -> OperatingPoint:
 
 
 FOUND = Validation(
-    "nnss, n = 3", "test of tank", 4, 1, Channels(("a", "b"), ("x", "y"), ("V", "–"), ("m", "–")),
+    "nnss, n = 3", "test of tank", 4, 1, 1, Channels(("a", "b"), ("x", "y"), ("V", "–"), ("m", "–")),
     (output("x", "m", 0.2, 0), output("y", "–", 0.5, 1)),
     StepTable((1, 5), np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([[0.5, 0.6], [0.7, 0.8]]), np.array([0.9, 1.23456])),
     (Stated("white", True, "p = 0.3"), Stated("free", False, "p = 0")), ("it fits", "it does not"), ("K",), (0.5,),
@@ -176,6 +176,12 @@ def test_one_output_and_input_need_not_be_named(page: Any) -> None:
     each = replace(FOUND.outputs[0], depends=FOUND.outputs[0].depends[:1], by_input=FOUND.outputs[0].by_input[:1])
     alone = replace(FOUND, outputs=(each,), channels=Channels(("a",), ("x",), ("V",), ("m",)))
     assert "drawn" not in page(alone)[0].get_title()
+    assert page(replace(alone, experiments=2))[0].get_title().endswith("\ndrawn: signals of record 1 of 2")
+
+
+def test_of_several_experiments_the_one_that_is_drawn_is_named(page: Any) -> None:
+    title = page(replace(FOUND, experiments=3))[0].get_title()
+    assert title.endswith("4 samples\ndrawn: signals of record 1 of 3, output y, input b")
 
 
 def test_a_band_is_filled_between_its_limits(page: Any) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from nnss_cli.baselines.schur import schur_margin, schur_matrix
-from nnss_cli.datasets.record import Scaling
+from nnss_cli.datasets.record import Channels, Scaling
 
 from nnss_cli.elementary import OPERATIONS, cholesky, rows, solve, solve_lower, solve_upper, trace
 from nnss_cli.errors import InputError
@@ -177,6 +177,26 @@ def test_control_responds_as_simulate(kind: tuple[str, str], untrained: Callable
     t = np.arange(len(u)) * model.Ts
     response = control.input_output_response(model.to_control(), t, u.T, model.initial_state(u, y_init[:1]))
     np.testing.assert_allclose(response.y.T, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "expected"),
+    [
+        (("pump.speed", "u"), ("u.1", "level"), (["pump_speed", "u"], ["u_1", "level"])),
+        (("a.b", "a_b"), ("a_b.", "a.b."), (["a_b_2", "a_b"], ["a_b_", "a_b__2"])),
+        (("a.b_", "a_b."), ("a.b.", "a_b__2"), (["a_b_", "a_b__3"], ["a_b__4", "a_b__2"])),
+    ],
+)
+def test_names_with_a_point_become_such_that_control_accepts(
+    inputs: tuple[str, ...], outputs: tuple[str, ...], expected: tuple[list[str], list[str]],
+    untrained: Callable[..., TrainedModel],
+) -> None:  # fmt: skip
+    """No two alike, inputs and outputs together, since control connects what has one name; others stay as they are."""
+    model = untrained("schur", "x", 2, 2, 2)
+    model.model.channels = Channels(inputs, outputs, ("–", "–"), ("–", "–"))
+    for system in (model.to_control(), model.linearise([0.1, 0.2])):
+        assert (system.input_labels, system.output_labels) == expected
+    assert len({*expected[0], *expected[1]}) == 4
 
 
 @pytest.mark.parametrize("scheduling", SCHEDULING)

@@ -1,6 +1,8 @@
 """Adaptive bands: coverage where the errors are not those of validation, the bound of any record, no look ahead."""
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +128,30 @@ def test_units_and_outputs_are_apart() -> None:
         alone = adapt([own[:500], own[500:]], [own[:500], own[500:]], 0.9, 2)
         assert both.steps[i] == alone.steps[0]
         np.testing.assert_allclose(1e-3 * half[:, i], alone.half_widths(3 * own, 0)[:, 0])
+
+
+@pytest.mark.parametrize("level", [0.9, 0.6])
+def test_the_step_is_that_with_the_least_quantile_loss(level: float) -> None:
+    """Of misses, level times how far the errors lie beyond; of hits, the rest times how far they lie within."""
+    taken, medians = [], []
+    for seed in range(6):
+        e = noise(0.5, 1500, seed) * np.where(np.arange(1500) // 150 % 2, 1 + seed, 1.0)[:, None]
+        band = adapted(e, 1, level)
+        beyond = [np.abs(e) - replace(band, steps=np.array([eta])).half_widths(e, 0) for eta in STEPS]
+        assert band.steps[0] == STEPS[np.argmin([np.sum(np.maximum(level * b, (level - 1) * b)) for b in beyond])]
+        taken.append(band.steps[0])
+        medians.append(STEPS[np.argmin([np.sum(np.abs(b)) for b in beyond])])
+    assert len(set(taken)) > 1
+    assert taken != medians
+
+
+def test_the_bound_is_the_one_that_is_documented() -> None:
+    """α + (log⁺(b/q) + 1 − α + 4.6)/(η(T) T), with the η that is reached at the last sample."""
+    for step, reached, largest in ((0.2, 0.2, 6.0), (1e-3, 400**-0.6, 6.0), (0.2, 0.2, 0.5)):
+        band = AdaptiveBand(Band(0.8, np.full(1, 2.0), (9,), (1,), (1,), None), np.array([step]), 1)
+        e = np.full((400, 1), -largest)
+        expected = 0.2 + (max(math.log(largest / 2), 0) + 0.8 + math.log(100)) / (reached * 400)
+        assert band.bound(e)[0] == pytest.approx(expected)
 
 
 def test_the_step_is_chosen_on_validation() -> None:

@@ -132,6 +132,8 @@ def test_blocks_are_as_long_as_the_memory() -> None:
     """1 + 2 Σ ρ^l = (1 + ρ)/(1 − ρ) of AR noise."""
     lengths = [memory([noise(0.8, 20_000, seed)[:, 0]]) for seed in range(5)]
     assert np.mean(lengths) == pytest.approx(9 + 0.5, rel=0.15)
+    slow = [memory([noise(0.97, 50_000, seed)[:, 0]]) for seed in range(5)]
+    assert np.mean(slow) == pytest.approx(1.97 / 0.03, rel=0.15)  # of which twenty lags have less than a half
     assert memory([np.zeros(20)]) == 1
 
 

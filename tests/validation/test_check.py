@@ -18,6 +18,7 @@ from nnss_cli.validation.gain import Gain
 from nnss_cli.validation.overlap import samples_in
 from nnss_cli.validation.predictor import Predictor
 from nnss_cli.validation.residuals import dependence, whiteness
+from nnss_cli.validation.result import as_dict
 from nnss_cli.validation.trained import Fitting, Forecaster
 
 W = 3
@@ -34,7 +35,8 @@ def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
     def run(records: list[Record], K: FloatArray, rate: float, limits: tuple[float | None, ...]) -> Any:
         monkeypatch.setattr(check, "coherence_limits", lambda _: list(limits))
-        monkeypatch.setattr(check, "fitted_limits", lambda *_: [None] * len(limits))
+        asked: list[tuple[int, ...]] = []  # order and first samples that are not scored
+        monkeypatch.setattr(check, "fitted_limits", lambda _, *of: asked.append(of) or [None] * len(limits))
         named = Channels(("u1", "u2"), ("y1", "y2"), ("–", "–"), ("–", "–"))
         model = LinearModel(LinearStateSpace(A, B, C, D, 0.5), SCALING, named)
         trained = TrainedModel(
@@ -42,9 +44,11 @@ def validated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             origin=SimpleNamespace(init_window=W, order=3, method="n4sid", seed=0, dataset="plant", protocol="strict"),
         )  # type: ignore[arg-type]
         gain = Gain(K, "Kalman", rate, rate, {"none": 1.0})
-        return validate(
+        found = validate(
             Forecaster(trained, Predictor(model, (K,)), (gain,), Fitting((records[0],), (records[0],))), records, "new"
         )
+        assert asked == [(3, W)]
+        return found
 
     return run
 
@@ -82,18 +86,23 @@ def test_samples_that_a_part_of_the_model_has_seen_are_told() -> None:
     """Of protocol paper's two-tank validation is the first third of test."""
     records = experiments((300, 160))
     fitting = Fitting((records[1],), (records[0][40:90],))
-    lines = list(check._known(fitting, records))
+    lines = list(check._known((fitting,), records))
     assert lines == [
         "No independent evidence: the model or its predictor was fitted to 160 of these 460 samples.",
         "No independent evidence: the model's epoch, the predictor's gain and the bands were chosen on 50 of these 460 "
         "samples.",
     ]
-    assert list(check._known(fitting, [replace(records[0], y=records[0].y + 1e-9)])) == []
+    own, given = Fitting((records[0][:100],), ()), Fitting((records[0][80:150],), (records[1],))
+    assert [line.split(": ")[1] for line in check._known((own, given), records)] == [
+        "the model or its predictor was fitted to 150 of these 460 samples.",  # those that both have count once
+        "the model's epoch, the predictor's gain and the bands were chosen on 160 of these 460 samples.",
+    ]
+    assert list(check._known((fitting,), [replace(records[0], y=records[0].y + 1e-9)])) == []
     later = records[0].y.copy()
     later[89] += 1e-9  # the last sample of validation
-    (told,) = check._known(fitting, [replace(records[0], y=later)])
+    (told,) = check._known((fitting,), [replace(records[0], y=later)])
     assert "chosen on 49 of these 300 samples" in told
-    (told,) = check._known(fitting, [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
+    (told,) = check._known((fitting,), [Record(records[0].u[:70], records[0].y[:70], 0.5)])  # ends in the midst of it
     assert "chosen on 30 of these 70 samples" in told
 
 
@@ -168,4 +177,11 @@ def test_numbers_are_those_of_a_second_computation(
     squares = sum(np.sum(part[W:] ** 2, axis=0) for part in one_ahead)
     np.testing.assert_allclose(found.steps.predicted[0], np.sqrt(squares / (460 - 2 * W)))
     assert found.steps.horizons == (1, 2, 5, 10, 20)
+    half = found.limits.band.half_width  # from the first record, which is 300 samples of 460
+    held = sum(np.sum(np.abs(part[W:]) <= half, axis=0) for part in free) / (460 - 2 * W)
+    np.testing.assert_allclose(found.limits.held, held)
+    assert np.all(held != np.mean(np.abs(free[0][W:]) <= half, axis=0))
+    np.testing.assert_allclose(found.limits.high[:, 0], records[0].y[:, 0] - free[0][:, 0] + half[0])  # which is drawn
+    assert (found.experiments, found.samples) == (2, 460)
+    assert as_dict(found)["band"]["held"] == held.tolist()  # type: ignore[index]
     assert found.radius == pytest.approx(np.abs(np.linalg.eigvals(A)).max())

@@ -256,6 +256,41 @@ def test_a_model_alone_needs_a_record_to_fit_on(
     assert nnss("simulate", folder, new, "--interval", "0.9", "--data", new, "--force").code == 0
 
 
+@pytest.mark.system
+def test_a_record_to_fit_the_predictor_on_is_not_taken_for_what_the_model_was_trained_on(
+    nnss: Callable, plant_run: Callable[..., Path], plant_data: Callable[..., Dataset], tmp_path: Path
+) -> None:
+    """The range is that of the model's own training records, of which nothing is known of a model without its run."""
+    data = plant_data()
+    (train,), (test,) = data.fitting.train, data.tests["test"]
+    write(train, Path("train.csv"))
+    write(Record(0.05 * test.u, 0.05 * test.y, 0.5), Path("quiet.csv"))
+    write(Record(3 * test.u, 3 * test.y, 0.5), Path("loud.csv"))
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("model.json", "model.safetensors"):
+        shutil.copy(plant_run() / name, alone)
+    told = {}
+    for file in ("train.csv", "loud.csv"):
+        for folder in (plant_run(), alone):
+            done = nnss("validate", folder, file, "--data", "quiet.csv", "--json")
+            told[file, folder] = "\n".join(json.loads(done.out)["verdict"])
+    assert "the model or its predictor was fitted to 600 of these 600 samples" in told["train.csv", plant_run()]
+    assert "leaves the range" not in told["train.csv", plant_run()]
+    assert f"fitted to, {train.u.min():.4g} to {train.u.max():.4g}, at " in told["loud.csv", plant_run()]
+    assert "No independent evidence" not in told["loud.csv", plant_run()]
+    for file in ("train.csv", "loud.csv"):
+        assert "leaves the range" not in told[file, alone]
+        assert "No independent evidence" not in told[file, alone]
+    beyond = "beyond the training records no data speak for the model"
+    for folder, file, known in (
+        (plant_run(), "train.csv", False),
+        (plant_run(), "loud.csv", True),
+        (alone, "loud.csv", False),
+    ):
+        assert (beyond in nnss("predict", folder, file, "--data", "quiet.csv", "--force").out) == known
+
+
 @pytest.mark.parametrize(
     ("command", "options", "told"),
     [

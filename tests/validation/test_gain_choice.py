@@ -119,3 +119,21 @@ def test_errors_of_another_gain_are_those_of_the_line_and_their_slopes_its_diffe
         np.testing.assert_allclose(J[..., j], slope, rtol=1e-6, atol=1e-6 * np.abs(J).max() + 1e-300)
     if L > 1:
         assert not np.isfinite(gain._errors(line, np.full((s, m), 1e200))[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("errors", "serves"),
+    [
+        ([(1.0, 1.0), (2.0, 0.1)], True),
+        ([(1.0, 0.5), (2.0, 2.001)], False),  # on one record of two
+        ([(1.0, np.nan)], False),
+        ([(np.inf, np.inf)], False),
+        ([], True),
+    ],
+)
+def test_a_gain_serves_where_it_errs_no_more_than_none_over_each_record(
+    errors: list[tuple[float, float]], serves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = iter(errors)
+    monkeypatch.setattr(gain, "_judge", lambda *_: (np.array(next(left)), []))
+    assert gain._serves(None, np.ones((1, 1)), [None] * len(errors), 1) is serves  # type: ignore[arg-type, list-item]

@@ -125,5 +125,5 @@ def test_a_forecaster_is_guarded_where_it_is_asked_to_be(plant_run: Callable[...
         assert (expected != own).any()
         limits = guarded.limits(lost, horizon, 0.9)
         np.testing.assert_allclose((limits.low + limits.high) / 2, expected)
-    simulated = (each.limits_of_simulation(lost, 0.9).low for each in (plain, guarded))
+    simulated = (each.limits_of_simulation([lost], 0.9).low for each in (plain, guarded))
     np.testing.assert_array_equal(*simulated)

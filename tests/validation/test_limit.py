@@ -54,19 +54,51 @@ def test_coherence_leaves_the_noise(levels: tuple[float, ...], fitted: Callable)
     np.testing.assert_allclose(linear_limits(records, 2), expected, atol=1.5)
 
 
-def test_the_fit_of_a_fitted_model_is_that_of_scores(fitted: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fit_of_a_fitted_model_is_that_of_scores(fitted: Callable) -> None:
     """So that a model's fit and the limit can be compared, on experiments at different levels, too."""
-    monkeypatch.setattr(limit, "welch", lambda *_: None)
     A, B, C = np.array([[0.5, 0.2], [0.0, 0.3]]), np.eye(2), np.array([[0.5, 0.0], [0.2, 0.1]])
     model = LinearStateSpace(A, B, C, 0.1 * np.eye(2), 0.1)
     fitted(model)
     for levels in ((0.0,), (0.0, 3.0)):
         records = [record[:400] for record in experiments(levels)]
         scaling = Scaling.of(tuple(records))
-        scores = score_outputs(
-            "", [each.y for each in records], [run(model, scaling, each) for each in records], scaling
-        )
-        assert linear_limits(records, 2) == [pytest.approx(score.fit_percent) for score in scores]
+        simulated = [run(model, scaling, each) for each in records]
+        for begin in (0, 100):
+            y, found = ([part[begin:] for part in parts] for parts in ([each.y for each in records], simulated))
+            offset = np.mean(np.concatenate(y) - np.concatenate(found), axis=0)  # that of all these samples is best
+            scores = score_outputs("", y, [part + offset for part in found], scaling)
+            assert fitted_limits(records, 2, begin) == [pytest.approx(score.fit_percent) for score in scores]
+
+
+def test_a_long_record_is_scored_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linear models are fitted to its lively part, where any fits better: on the whole none beats the true plant."""
+    random = np.random.default_rng(3)
+    amplitude = np.repeat([1.0, 0.02], [2100, 8000])[:, None]
+    u, e = amplitude * random.standard_normal((10_100, 1)), 0.1 * random.standard_normal((10_100, 1))
+    plant = scipy.signal.lfilter([0.0, 0.5], [1, -0.8], u, axis=0)
+    y = plant + e + 3 * (amplitude < 1)  # another level: the offset is that of all samples
+    monkeypatch.setattr(limit, "ssest", lambda records, _, order: limit.n4sid(records, order))  # which is quick
+    for record, simulated in ((Record(u, plant + e, 1.0), plant), (Record(u, y, 1.0), plant)):
+        error, centred = record.y - simulated, record.y - record.y.mean()
+        (found,) = fitted_limits([record], 2)
+        assert found == pytest.approx(100 * (1 - error.std() / centred.std()), abs=1)
+    lively = slice(0, 2048)
+    assert 100 * (1 - e[lively].std() / (plant + e)[lively].std()) > 85  # as the excerpt would have it
+    assert 100 * (1 - e.std() / (plant + e).std()) < 80
+
+
+def test_linear_models_of_several_orders_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SSEST of the model's own order and one more, N4SID of 2, 4 and 6 by two weightings."""
+    tried: list[tuple[str, int]] = []
+
+    def refuse(name: str, order: int) -> LinearStateSpace:
+        tried.append((name, order))
+        raise InputError("too short")
+
+    monkeypatch.setattr(limit, "ssest", lambda _, __, order: refuse("ssest", order))
+    monkeypatch.setattr(limit, "n4sid", lambda _, order, __: refuse("n4sid", order))
+    assert fitted_limits(experiments((0.0,)), 3) == [None, None]
+    assert tried == [("ssest", 3), ("ssest", 4), *(("n4sid", order) for order in (2, 2, 4, 4, 6, 6))]
 
 
 def run(model: LinearStateSpace, scaling: Scaling, record: Record) -> FloatArray:

@@ -139,6 +139,16 @@ def test_a_mean_that_follows_a_signal_is_told_apart_from_noise() -> None:
     assert (two.share, two.p_value) == (0, 1)  # a line goes through both
 
 
+def test_bands_of_a_profile_hold_the_mean_residual_as_often_as_said() -> None:
+    """Of 200 records in ten bins each 99 %; normal quantiles of an estimated deviation make it a little less."""
+    random, held = np.random.default_rng(5), []
+    for _ in range(200):
+        found = profile(3 * random.standard_normal(400), random.standard_normal(400))
+        assert found is not None
+        held.append(np.abs(found.means) <= found.bands)
+    assert 0.98 <= np.mean(held) <= 0.997
+
+
 def test_a_profile_is_the_f_test_of_bins_beside_a_line() -> None:
     """Of 400 records of white residuals some 4 fall below 1 %: more than 11 would have a probability below 0.1 %."""
     random, low = np.random.default_rng(4), 0

@@ -26,6 +26,7 @@ from nnss_cli.experiment.certificate.region import inverse, product
 BISECTIONS = 60
 ABOVE = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # what is tried on top of the bisection's γ, relative
 GRID = 2000
+SQUARED = 1e-100, 1e100  # norms of B, C and of the response whose squares and products neither vanish nor overflow
 SCALED = (1.0, 1e-2, 1e-4, 1e-6, 1e-8)  # of Schur's basis, from one vector to the next
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -121,9 +122,14 @@ def response(system: LinearStateSpace, frequencies: FloatArray) -> FloatArray:
 
 
 def norm(system: LinearStateSpace) -> Norm:
-    """The H∞ norm, bracketed; high is None where ρ(A) < 1 is not proved."""
+    """The H∞ norm, bracketed; high is None where ρ(A) < 1 is not proved, or B, C or D are beyond `SQUARED`."""
     if lyapunov(system.A) is None:
         return Norm(0.0, None, 0.0)
+    if not _connected(system):
+        return Norm(0.0, 0.0, 0.0)
+    B, C, D = (float(np.abs(M).max(initial=0.0)) for M in (system.B, system.C, system.D))
+    if not all(SQUARED[0] < each < SQUARED[1] for each in (B or 1.0, C or 1.0, B * C + D)):
+        return Norm(0.0, None, 0.0)  # the response, or γ² of the lemma, may be 0 by rounding alone
     angles = np.abs(np.angle(np.linalg.eigvals(system.A)))
     # close to each pole's angle, and everywhere
     grid = np.unique(np.clip(np.concatenate([
@@ -134,7 +140,7 @@ def norm(system: LinearStateSpace) -> Norm:
     at = int(np.argmax(sizes))
     low, frequency = float(sizes[at]), float(grid[at])
     if low == 0.0:
-        return Norm(0.0, 0.0, 0.0)
+        return Norm(0.0, None, 0.0)
     below, above = low, low * 1.001
     while _crosses(system, above) and above < 1e6 * low:
         below, above = above, above * 2
@@ -146,6 +152,15 @@ def norm(system: LinearStateSpace) -> Norm:
         if _bounded_real(system, gamma, share):
             return Norm(low * (1 - 1e-9), gamma, frequency)
     return Norm(low * (1 - 1e-9), None, frequency)
+
+
+def _connected(system: LinearStateSpace) -> bool:
+    """Whether entries other than 0 lead from an input to an output: the response is 0 exactly where none do."""
+    A, B, C, D = (M != 0 for M in (system.A, system.B, system.C, system.D))
+    driven = B.any(axis=1)
+    for _ in range(len(A)):
+        driven = driven | (A & driven).any(axis=1)
+    return bool(D.any() or (C & driven).any())
 
 
 def _crosses(system: LinearStateSpace, gamma: float) -> bool:
