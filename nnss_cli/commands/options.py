@@ -233,7 +233,10 @@ FIT_OPTIONS: dict[str, Any] = {
         str, "--integrator", "auto|yes|no", "Whether the outputs sum up what the stable part gives."
     ),
     "lengthen": _training(
-        str, "--lengthen", "auto|yes|no", "Begin on windows of 20, 60, 200 samples: for plants that ring."
+        str,
+        "--lengthen",
+        "auto|yes|no",
+        "Begin on windows of 20, 60, 200 samples, for plants that ring; auto: where whole records hide an optimum.",
     ),
     "budget": _training(float, "--budget", "SECONDS", "Of a fit: no candidate and no epoch begins after it."),
     "judge": _training(

@@ -45,8 +45,15 @@ STUDIES: dict[str, dict[str, Settings]] = {
         "scheduling x+u, with feedthrough": {"scheduling": "x+u", "feedthrough": "yes"},
         "without incremental layer": {"stability": "schur"},
         "incremental layer": {"stability": "incremental", "hidden": (16,)},
+        "without windows that lengthen": {"lengthen": "no"},
         "encoder of 10 samples": {"encoder_window": 10},
-        "no candidates": {"feedthrough": "no", "integrator": "no", "stability": "schur", "initial": "feedback"},
+        "no candidates": {
+            "feedthrough": "no",
+            "integrator": "no",
+            "lengthen": "no",
+            "stability": "schur",
+            "initial": "feedback",
+        },
     },
     "stability": {
         "schur": {"stability": "schur"},

@@ -24,6 +24,11 @@ from nnss_cli.training.start import LinearStarter, begin
 
 LENGTHS = ((20, 40), (60, 30), (200, 20))
 """Samples of windows that lengthen, and Gauss–Newton iterations on each."""
+HIDDEN = 0.5
+"""Share of a rival's training error that windows with states of their own must come below, and the whole records after
+them: else no better optimum is hidden from whole records, and what validates better does so for other reasons."""
+PACE = 5
+"""Iterations whose pace tells whether windows will come below it."""
 TRIAL = 0.25
 """Share of the epochs after which a candidate is given up that is behind the one before."""
 FEW = 10
@@ -91,23 +96,27 @@ class Attempt:
         recipe: Recipe,
         train: tuple[Record, ...],
         val: tuple[Record, ...],
-        rival: float,
+        rival: Attempt | None,
         clock: Clock,
         on_epoch: EpochCallback | None,
         linear: LinearStarter,
     ) -> None:
         """Build the model and its start from records of the first stage and of validation, normalised.
 
-        It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the lowest error before it,
+        It is given up where after a share `TRIAL` of its epochs it is still behind `rival`, the best before it,
         or where none of the first `FEW` was better than its start.
         """
         self.recipe, self.seed = recipe, seed
+        # a rival's training error, where windows are tried against it, and what they must come below
+        self.fitted_before = rival.fitted if rival and recipe.lengthen == "yes" != rival.recipe.lengthen else math.inf
+        self.bar = HIDDEN * self.fitted_before
+        self.needless = False  # windows do not come below it, so nothing was trained
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
         self.start, self.remarks = begin(
             self.model, recipe.initial, train, val, seed, data.init_window, linear, lambda: not clock.up
         )
-        self.watch = Watch(val, data.init_window, recipe, rival, clock, on_epoch)
+        self.watch = Watch(val, data.init_window, recipe, rival.error if rival else math.inf, clock, on_epoch)
         self.samples = 0  # of the last stage that ended well
 
     def epochs(self, stage: int) -> int:
@@ -118,6 +127,16 @@ class Attempt:
     def error(self) -> float:
         """Lowest validation error so far; inf for a training that was given up."""
         return math.inf if self.watch.diverged else self.watch.stopping.best
+
+    @property
+    def fitted(self) -> float:
+        """Lowest training error so far, RMSE/σ; inf before the first epoch."""
+        return math.sqrt(min(self.watch.losses, default=math.inf))
+
+    @property
+    def hidden(self) -> bool:
+        """Whether it has found an optimum that whole records hid from its rival; so has any that was not to."""
+        return math.isinf(self.bar) or self.fitted < self.bar
 
     def squares(self) -> FloatArray:
         """Of the best weights' errors on the validation records (K,), over all outputs of a sample."""
@@ -166,6 +185,8 @@ class Attempt:
             )  # fmt: skip
             return
         begin = self.lengthen() if self.recipe.lengthen == "yes" and self.samples == 0 and not cascade else None
+        if self.needless:
+            return
         self._descend(watch.engine, u, y, iterations, watch.goes_on, begin)
 
     def _descend(
@@ -192,13 +213,20 @@ class Attempt:
         for O.D.E.", in: Numerical Treatment of Inverse Problems in Differential and Integral Equations, 1983 (multiple
         shooting). Here the windows are not tied together but grow.
 
+        With more free states a window's error is no higher than a whole record's could become, but for an optimum that
+        is missed here as well. So it ends, and is `needless`, as soon as a window's is not below `bar`, or is below
+        the rival's and falls too slowly. Above the rival's it may stand still for a while: it is not at an optimum.
+
         Returns:
             None where no window fits twice into the shortest record, or no step lowered an error.
         """
         watch, records = self.watch, self.watch.records
+        losses: list[float] = []  # of one length
 
         def goes_on(loss: float) -> bool:
-            return math.isfinite(loss) and not watch.clock.up
+            losses.append(loss)
+            slow = loss < self.fitted_before**2 and not in_reach(losses, most - len(losses), self.bar)
+            return math.isfinite(loss) and not slow and not watch.clock.up
 
         paths: list[FloatArray] = []  # states of each record, as far as whole windows go
         for L, iterations in LENGTHS:
@@ -208,12 +236,18 @@ class Attempt:
             engine = build_engine(self.model, u, y, self.recipe)
             engine.place(_vector(watch.engine.weights()))
             begins = [path[: len(record) - L + 1 : L] for path, record in zip(paths, records, strict=False)]
-            states = self._descend(engine, u, y, iterations, goes_on, np.concatenate(begins) if begins else None)
+            most = min(iterations, self.recipe.epochs)
+            losses.clear()
+            states = self._descend(engine, u, y, most, goes_on, np.concatenate(begins) if begins else None)
             if not states:
                 break
+            if math.sqrt(losses[-1]) >= self.bar:
+                self.needless = True
+                return None
             watch.engine.place(_vector(engine.weights()))
             ends = np.cumsum([len(record) // L * L for record in records])
             paths = np.split(np.concatenate(states), ends[:-1])
+        self.needless = not paths and math.isfinite(self.bar)
         return np.array([path[0] for path in paths]) if paths else None
 
     def training(self, further: tuple[str, ...], candidates: dict[str, float], judged_by: str) -> Training:
@@ -240,6 +274,16 @@ class Attempt:
             candidates,
             judged_by,
         )
+
+
+def in_reach(losses: Sequence[float], left: int, bar: float) -> bool:
+    """Whether a mean square error that falls as over the last `PACE` iterations comes below bar² in those left.
+
+    Where there were no more than those yet, it may.
+    """
+    if len(losses) <= PACE or not losses[-1] >= bar**2:
+        return True
+    return losses[-1] * (losses[-1] / losses[-1 - PACE]) ** (left / PACE) < bar**2
 
 
 class Watch:

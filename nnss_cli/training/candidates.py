@@ -44,10 +44,11 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     """The alternatives of the recipe that these data speak for, by the names of its fields. Only training is asked.
 
     A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, both
-    together where both are (the input may show at once in what is summed up), windows that lengthen, an incrementally
-    stable layer where the first stage is all there is and its weights do not outnumber the measured outputs, a deep
-    cold model where the generator's do. A layer of few weights is ahead on a short beginning of a record, and may be
-    behind on all of it, so that on longer ones it is tried from a cascade alone, which must be ahead by far.
+    together where both are (the input may show at once in what is summed up), windows that lengthen where the weights
+    do not outnumber the measured outputs (elsewhere it says nothing that they fit), an incrementally stable layer where
+    its weights do not either and the first stage is all there is, a deep cold model where the generator's do. A layer
+    of few weights is ahead on a short beginning of a record, and may be behind on all of it, so that on longer ones it
+    is tried from a cascade alone, which must be ahead by far.
 
     Args:
         data: physical units.
@@ -72,7 +73,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
         ),
         "both": lambda: {"feedthrough", "integrator"} <= set(found),
         "scheduling": lambda: True,
-        "lengthen": lambda: True,
+        "lengthen": lambda: weights({}) <= known,  # elsewhere a low training error says nothing
         "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
         "cascade": lambda: staged and order >= 2,
         "initial": lambda: weights({}) > known,

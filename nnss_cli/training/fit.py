@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,14 @@ from nnss_cli.datasets.units import p_text
 from nnss_cli.datasets.windows import SHORTEST, beginnings
 from nnss_cli.errors import InputError
 from nnss_cli.iterative import EpochCallback
-from nnss_cli.training.attempt import Attempt, Clock, Training
+from nnss_cli.training.attempt import HIDDEN, Attempt, Clock, Training
 from nnss_cli.training.candidates import ALTERNATIVES, PAYS, SIMPLEST, blocks, chance, pays, pooled, worth_trying
 from nnss_cli.training.recipe import Recipe
 from nnss_cli.training.start import LinearStarter
 from nnss_cli.training.warm import LinearStart, linear_start
 
-REPLACED = {("stability", "initial"), ("integrator", "both")}
-"""What was taken before, and what takes its place: a cold start that of a layer."""
+REPLACED = {("stability", "initial"), ("lengthen", "initial"), ("integrator", "both")}
+"""What was taken before, and what takes its place: a cold start that of a layer, and all windows."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,12 @@ def train_nnss(
         """A candidate, trained on each part of the data."""
         nonlocal epochs
         tried: list[Attempt] = []
-        rivals = [each.error for each in rival.attempts] if rival else [math.inf] * len(parts)
-        for (records, held), lowest in zip(parts, rivals, strict=True):
+        rivals: Sequence[Attempt | None] = rival.attempts if rival else [None] * len(parts)
+        for (records, held), other in zip(parts, rivals, strict=True):
             changes = recipe.alternatives(min(map(len, records))).get(name, {})
             report = _after(epochs, on_epoch)
             candidate = base.replace(**changes)
-            tried.append(Attempt(data, order, seed, candidate, records, held, lowest, clock, report, linear))
+            tried.append(Attempt(data, order, seed, candidate, records, held, other, clock, report, linear))
             if not clock.up:
                 tried[-1].train(records, tried[-1].recipe.epochs)
             epochs += len(tried[-1].watch.losses)
@@ -125,10 +125,15 @@ def train_nnss(
         if clock.up and len(parts) > 1:  # some part was not trained to its end
             unfinished.append(name)
             continue
+        if any(each.needless for each in tried.attempts):
+            continue
         kept = [won for won in held if (won, name) not in REPLACED]
         label = " with ".join(ALTERNATIVES[won] for won in [*kept, name])
         errors[label] = tried.error
-        if gain := _gain(name, tried, best):
+        if not all(each.hidden for each in tried.attempts):
+            if tried.error < best.error:
+                remarks += (f"{label} left: the training error falls by less than {1 - HIDDEN:.0%}",)
+        elif gain := _gain(name, tried, best):
             best, held = tried, [*kept, name]
             remarks += (f"{label} taken: it lowers the {judged} {gain}",)
     taken = best.attempt

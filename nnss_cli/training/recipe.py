@@ -44,8 +44,8 @@ class Recipe:
     integrator: str = "no"
     """Whether the outputs sum up what the LPV part gives: yes, no as in the paper, or auto (validation decides)."""
     lengthen: str = "no"
-    """Whether Gauss–Newton on whole records begins on short windows that lengthen: yes, no, or auto (validation
-    decides)."""
+    """Whether Gauss–Newton on whole records begins on short windows that lengthen: yes, no, or auto (where these fit
+    far better than whole records did; validation decides)."""
     gamma: float = 1.0
     """Bound on the spectral radius of A(ρ), on its norm (quadratic), or on how fast trajectories come together."""
     gain: float = 0.0
@@ -272,7 +272,7 @@ COLD = frozenset(_COLD) - {"initial"} | {"window"}
 _BEST = Recipe(
     hidden=(8,), encoder=(8,), dtype="float64", window=0, stride=1, batch=1, initial="auto",
     optimiser="gauss-newton", epochs=100, patience=100, consistency=0.0, feedthrough="auto", integrator="auto",
-    stability="auto", lead=5000,
+    lengthen="auto", stability="auto", lead=5000,
 )  # fmt: skip
 _RECIPES = {"best": _BEST, "paper": _PAPER}
 

@@ -40,7 +40,7 @@ def test_settings_are_those_of_the_runs_on_disk() -> None:
     """Made by `python tests/methods/test_settings.py`.
 
     Since e12defe `feedthrough`, `lead`, `integrator`, `budget`, `gain`, `judge`, `threads`, `encoder_window` and
-    `lengthen` were added; `initial` and `stability` of best became auto.
+    `lengthen` were added; `initial`, `stability` and `lengthen` of best became auto.
     """
     assert settings_of_all() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 

@@ -158,7 +158,7 @@ def test_squares_are_of_the_best_weights_on_what_was_held_out(small_data: Callab
     data = fitting(small_data(), with_feedthrough)
     train, val = data.normalised()
     recipe = RECIPE.replace(feedthrough="no", epochs=8)
-    attempt = Attempt(data, 2, 0, recipe, train, val, np.inf, Clock(0), None, linear_start)
+    attempt = Attempt(data, 2, 0, recipe, train, val, None, Clock(0), None, linear_start)
     attempt.train(train, 8)
     assert len(attempt.squares()) == sum(map(len, val))
     assert np.sqrt(attempt.squares().mean()) == pytest.approx(attempt.error, rel=1e-12)
@@ -393,6 +393,8 @@ def test_a_cold_model_is_tried_where_weights_outnumber_outputs(small_data: Calla
     assert "initial" in worth_trying(data, 2, best, data.train)
     enough = fitting(small_data(), without_feedthrough, K=weights)
     assert "initial" not in worth_trying(enough, 2, best, enough.train)
+    assert "lengthen" not in worth_trying(data, 2, best, data.train)  # whether one fits says nothing there
+    assert "lengthen" in worth_trying(enough, 2, best, enough.train)
     assert best.alternatives(50)["initial"]["window"] == 30
     assert best.alternatives(1000)["initial"]["window"] == 60
     settings = METHODS["nnss"].settings

@@ -474,7 +474,7 @@ def test_a_cascade_has_all_epochs_in_every_stage(between: FittingData) -> None:
     found = {}
     for changes in ({"stability": "schur", "initial": "linear"}, {"stability": "incremental", "initial": "cascade"}):
         recipe = base.replace(**changes)
-        attempt = Attempt(between, 4, 0, recipe, train, val, np.inf, Clock(0), None, linear_start)
+        attempt = Attempt(between, 4, 0, recipe, train, val, None, Clock(0), None, linear_start)
         found[attempt.start] = [attempt.epochs(stage) for stage in (1, 2, 5)]
     assert found == {"linear": [5, 2, 1], "cascade": [10, 10, 10]}
 

@@ -26,23 +26,26 @@ class Candidates:
     """In the place of attempts: what each comes to is scripted, what each is given is kept."""
 
     def __init__(
-        self, errors: Sequence[float], weights: int = 1, epochs: int = 3, costs: float = 0.0, by_chance: float = 1.0
-    ) -> None:
+        self, errors: Sequence[float], weights: int = 1, epochs: int = 3, costs: float = 0.0, by_chance: float = 1.0,
+        needless: tuple[int, ...] = (), nothing_hidden: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
         self.errors, self.weights, self.epochs, self.costs = iter(errors), weights, epochs, costs
         self.by_chance = by_chance
+        self.needless, self.nothing_hidden = needless, nothing_hidden  # numbers of candidates
         self.compared: list[tuple[list[Any], list[Any]]] = []
         self.made: list[Any] = []
         self.now = 0.0
 
     def attempt(
-        self, data: Any, order: int, seed: int, recipe: Recipe, train: Any, val: Any, rival: float, clock: Any,
+        self, data: Any, order: int, seed: int, recipe: Recipe, train: Any, val: Any, rival: Any, clock: Any,
         on_epoch: Any, linear: Any,
     ) -> Any:  # fmt: skip
         del linear
         integrator = recipe.integrator == "yes"
         one = SimpleNamespace(
             recipe=recipe, order=order, seed=seed, records=train, held=val, rival=rival, error=next(self.errors),
-            samples=0,
+            samples=0, needless=len(self.made) in self.needless,
+            hidden=len(self.made) not in self.nothing_hidden,
             model=SimpleNamespace(architecture=SimpleNamespace(integrator=integrator, weights=self.weights)),
             watch=SimpleNamespace(losses=[], diverged=""), trained=[], told=[], on_epoch=on_epoch,
         )  # fmt: skip
@@ -90,16 +93,16 @@ def test_without_alternatives_the_simplest_is_taken_and_nothing_told(choose: Cal
     came = choose(found, ())
     (one,) = found.made
     assert came.taken is one
-    assert (one.recipe, one.order, one.seed, one.rival) == (BEST.simplest(), 2, 7, math.inf)
+    assert (one.recipe, one.order, one.seed, one.rival) == (BEST.simplest(), 2, 7, None)
     assert one.trained == [(200, BEST.epochs)]
     assert (came.remarks, came.candidates) == ((), {})
 
 
-def test_an_alternative_is_a_change_of_the_best_so_far_and_its_rival_is_that_ones_error(choose: Callable) -> None:
+def test_an_alternative_is_a_change_of_the_best_so_far_and_its_rival_is_that_one(choose: Callable) -> None:
     found = Candidates([1.0, 0.7, 0.69, 0.5])
     told: list[int] = []
     came = choose(found, ("feedthrough", "integrator", "scheduling"), on_epoch=lambda epoch, *_: told.append(epoch))
-    assert [one.rival for one in found.made] == [math.inf, 1.0, 0.7, 0.7]
+    assert [one.rival for one in found.made] == [None, found.made[0], found.made[1], found.made[1]]
     fields = [(one.recipe.feedthrough, one.recipe.integrator, one.recipe.scheduling) for one in found.made]
     assert fields == [("no", "no", "x"), ("yes", "no", "x"), ("yes", "yes", "x"), ("yes", "no", "x+u")]
     assert came.taken is found.made[3]
@@ -121,12 +124,27 @@ def test_what_won_twice_is_named_once(choose: Callable) -> None:
     ]  # fmt: skip
 
 
-def test_a_cold_start_takes_a_layers_place_in_the_name_too(choose: Callable) -> None:
-    came = choose(Candidates([1.0, 0.7, 0.5, 0.3]), ("feedthrough", "stability", "initial"))
-    assert list(came.candidates)[1:] == [
-        "feedthrough", "feedthrough with incremental layer", "feedthrough with cold start",
-    ]  # fmt: skip
-    assert came.taken.recipe.stability == "schur"
+@pytest.mark.parametrize(("name", "label"), [("stability", "incremental layer"), ("lengthen", "windows that lengthen")])
+def test_a_cold_start_takes_a_layers_place_in_the_name_too(name: str, label: str, choose: Callable) -> None:
+    came = choose(Candidates([1.0, 0.7, 0.5, 0.3]), ("feedthrough", name, "initial"))
+    assert list(came.candidates)[1:] == ["feedthrough", f"feedthrough with {label}", "feedthrough with cold start"]
+    assert (came.taken.recipe.stability, came.taken.recipe.lengthen) == ("schur", "no")
+
+
+def test_of_windows_that_no_record_needs_nothing_is_told(choose: Callable) -> None:
+    """Nothing was trained on whole records, so there is no error to compare."""
+    found = Candidates([1.0, 0.1, 0.7], needless=(1,))
+    came = choose(found, ("lengthen", "scheduling"))
+    assert came.candidates == {"as it is": 1.0, "scheduling on u": 0.7}
+    assert [one.recipe.lengthen for one in found.made] == ["no", "yes", "no"]
+    assert found.made[2].rival is found.made[0]
+
+
+def test_windows_that_found_no_hidden_optimum_are_not_taken_however_they_validate(choose: Callable) -> None:
+    came = choose(Candidates([1.0, 0.1], nothing_hidden=(1,)), ("lengthen",))
+    assert came.candidates == {"as it is": 1.0, "windows that lengthen": 0.1}
+    assert came.taken.recipe.lengthen == "no"
+    assert came.remarks == ("windows that lengthen left: the training error falls by less than 50%",)
 
 
 def test_training_takes_one_thread_of_torch(choose: Callable) -> None:
@@ -213,7 +231,7 @@ def test_judged_by_blocks_each_part_is_trained_on_the_others(choose: Callable) -
     came = choose(found, ("feedthrough",), BEST.replace(judge="blocks"))
     parts = len(found.made) // 2
     assert parts == 2
-    assert [one.rival for one in found.made] == [math.inf, math.inf, 1.0, 2.0]
+    assert [one.rival for one in found.made] == [None, None, *found.made[:2]]
     assert came.taken is found.made[2]  # the one that validation judges
     lengths = [sum(map(len, one.held)) for one in found.made[:2]]
     expected = math.sqrt((lengths[0] * 1.0 + lengths[1] * 4.0) / sum(lengths))

@@ -7,7 +7,7 @@ import pytest
 from nnss_cli.datasets.record import Channels, FittingData, Record, Scaling
 
 from nnss_cli.errors import InputError
-from nnss_cli.training import attempt
+from nnss_cli.training import attempt, fit
 from nnss_cli.training.candidates import ALTERNATIVES
 from nnss_cli.training.fit import train_nnss
 from nnss_cli.training.recipe import Recipe, recipe_of
@@ -101,6 +101,108 @@ def test_a_longer_window_begins_from_the_states_of_the_shorter(monkeypatch: pyte
     np.testing.assert_array_equal(first, [later[0][0], later[2][0]])
 
 
+@pytest.mark.parametrize(
+    ("lengths", "share"), [((131, 127), 0.01), ((39, 60), 0.5)], ids=["no window is better by so much", "too short"]
+)
+def test_windows_that_no_record_needs_change_nothing_and_are_not_told(
+    lengths: tuple[int, ...], share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attempt, "HIDDEN", share)
+    tried, plain = (train_nnss(ringing(*lengths), 2, 0, SHORT.replace(lengthen=each)) for each in ("auto", "no"))
+    assert tried == replace(plain, model=tried.model)
+    for name, weights in plain.model.state_dict().items():
+        assert tried.model.state_dict()[name].equal(weights)
+
+
+def test_one_is_taken_only_where_the_whole_records_fit_far_better_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The windows found nothing, and the records are trained as its rival was: no less than its error."""
+    data, auto = ringing(131, 127), SHORT.replace(lengthen="auto")
+    monkeypatch.setattr(attempt.Attempt, "lengthen", lambda _: None)
+    for share, validation, taken in ((0.5, 0.1, False), (9.0, 0.1, True), (9.0, 1.0, False)):
+        monkeypatch.setattr(attempt, "HIDDEN", share)
+        monkeypatch.setattr(fit, "pays", lambda *_, won=validation, **__: won < 0.8)
+        assert (" taken: " in "".join(train_nnss(data, 2, 0, auto).remarks)) == taken
+
+
+def test_a_recipe_that_lengthens_anyway_has_nothing_to_come_below(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A further candidate of it keeps its windows, however well the one before fits."""
+    monkeypatch.setattr(attempt, "HIDDEN", 0.0)
+    found = train_nnss(ringing(131, 127), 2, 0, SHORT.replace(scheduling="auto"))
+    assert list(found.candidates) == ["as it is", "scheduling on u"]
+
+
+@pytest.mark.parametrize(
+    ("errors", "left", "bar", "within"),
+    [
+        ([1, 0.9, 0.8, 0.7, 0.6], 0, 0.1, True),  # too few to tell
+        ([1, 0.9, 0.8, 0.7, 0.6, 0.5], 5, 0.26, True),
+        ([1, 0.9, 0.8, 0.7, 0.6, 0.5], 5, 0.24, False),
+        ([9, 1, 0.9, 0.8, 0.7, 0.6, 0.5], 5, 0.24, False),  # it is the last ones' pace that counts
+        ([1, 0.9, 0.8, 0.7, 0.6, 0.5], 10, 0.126, True),
+        ([1, 0.9, 0.8, 0.7, 0.6, 0.5], 10, 0.124, False),
+        ([0.5] * 6, 99, 0.5, False),
+        ([0.5] * 6, 0, 0.51, True),
+        ([0.5] * 6, 0, np.inf, True),
+    ],
+)
+def test_by_the_pace_of_five_iterations_an_error_is_in_reach(
+    errors: list[float], left: int, bar: float, within: bool
+) -> None:
+    assert attempt.in_reach(np.square(errors).tolist(), left, bar) == within
+
+
+def test_windows_that_will_not_come_so_low_end_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    plain = attempt.in_reach
+    monkeypatch.setattr(attempt, "HIDDEN", 1e-5)
+    monkeypatch.setattr(attempt, "in_reach", lambda losses, left, bar: seen.append(left) or plain(losses, left, bar))
+    for rival in (1e3, 1e-3):  # below a rival's error; above it the windows may stand still for a while
+        seen.clear()
+        monkeypatch.setattr(attempt.Attempt, "fitted", property(lambda _, error=rival: error))
+        train_nnss(ringing(131, 127), 2, 0, SHORT.replace(lengthen="auto", epochs=30))
+        assert seen == list(range(29, 29 - len(seen), -1))
+        assert (0 < len(seen) < 20) if rival > 1 else not seen
+
+
+@pytest.mark.parametrize(("rival", "lengths"), [(0.10, [131, 20]), (0.16, [131, 20, 60]), (0.3, [131, 20, 60, 131])])
+def test_each_length_must_end_below_half_of_a_rivals_error(
+    rival: float, lengths: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of 20 samples begin at 0.59 and end at 0.070, those of 60 at 0.084; each length's own pace counts."""
+    seen: list[int] = []
+    plain, in_reach, heard = attempt.gauss_newton, attempt.in_reach, [0]
+
+    def noting(engine: object, u: list, y: list, *rest: object) -> list[np.ndarray]:
+        seen.append(len(y[0]))
+        return plain(engine, u, y, *rest)
+
+    def reached(losses: list[float], left: int, bar: float) -> bool:
+        heard.append(len(losses))
+        return in_reach(losses, left, bar)
+
+    monkeypatch.setattr(attempt, "gauss_newton", noting)
+    monkeypatch.setattr(attempt, "in_reach", reached)
+    monkeypatch.setattr(attempt.Attempt, "fitted", property(lambda _: rival))
+    found = train_nnss(ringing(131, 127), 2, 0, SHORT.replace(lengthen="auto", epochs=30))
+    assert seen == lengths
+    assert max(heard) <= 30
+    assert (ALTERNATIVES["lengthen"] in found.candidates) == (len(lengths) == 4)
+
+
+def test_windows_have_no_more_iterations_than_epochs_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    plain = attempt.gauss_newton
+
+    def noting(engine: object, u: list, y: list, iterations: int, *rest: object) -> list[np.ndarray]:
+        seen.append(iterations)
+        return plain(engine, u, y, 1, *rest)
+
+    monkeypatch.setattr(attempt, "gauss_newton", noting)
+    for epochs in (3, 35):
+        train_nnss(ringing(131, 127), 2, 0, SHORT.replace(epochs=epochs))
+    assert seen == [3, 3, 3, 35, 30, 35]
+
+
 def test_records_too_short_for_two_windows_train_as_they_are() -> None:
     data = ringing(39, 60)
     with_windows, plain = (train_nnss(data, 2, 0, SHORT.replace(lengthen=each)) for each in ("yes", "no"))
@@ -116,6 +218,10 @@ def test_where_nothing_can_lengthen_it_is_refused_and_no_candidate(changes: dict
     assert "\n" not in str(error.value)
     assert "lengthen" not in SHORT.replace(**changes, lengthen="auto").alternatives(500)
     assert "lengthen" in SHORT.replace(lengthen="auto").alternatives(500)
+
+
+def test_best_tries_it_and_the_papers_recipe_has_none() -> None:
+    assert [recipe_of(name, {}, 2).lengthen for name in ("best", "paper")] == ["auto", "no"]
 
 
 def test_a_choice_that_is_none_is_refused() -> None:
