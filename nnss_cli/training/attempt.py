@@ -281,9 +281,7 @@ def in_reach(losses: Sequence[float], left: int, bar: float) -> bool:
 
     Where there were no more than those yet, it may.
     """
-    if len(losses) <= PACE or not losses[-1] >= bar**2:
-        return True
-    return losses[-1] * (losses[-1] / losses[-1 - PACE]) ** (left / PACE) < bar**2
+    return len(losses) <= PACE or losses[-1] * (losses[-1] / losses[-1 - PACE]) ** (left / PACE) < bar**2
 
 
 class Watch:
