@@ -103,7 +103,7 @@ def test_channels_have_the_names_and_units_of_their_kind(result: Callable) -> No
     one = replace(result("nnss"), channels=channels)
     assert [str(axis) for axis in axes(one, "input")] == ["u [V]", "v"]
     assert [str(axis) for axis in axes(one, "output")] == ["y [m]"]
-    assert comparison._title(one) == "plant (protocol own)"
+    assert comparison._title([one]) == "plant (protocol own)"
 
 
 # the part of a record that a zoom shows

@@ -145,6 +145,7 @@ def test_windows_that_found_no_hidden_optimum_are_not_taken_however_they_validat
     assert came.candidates == {"as it is": 1.0, "windows that lengthen": 0.1}
     assert came.taken.recipe.lengthen == "no"
     assert came.remarks == ("windows that lengthen left: the training error falls by less than 50%",)
+    assert choose(Candidates([1.0, 1.1], nothing_hidden=(1,)), ("lengthen",)).remarks == ()
 
 
 def test_training_takes_one_thread_of_torch(choose: Callable) -> None:
