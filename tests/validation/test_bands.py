@@ -133,6 +133,8 @@ def test_blocks_are_as_long_as_the_memory() -> None:
     lengths = [memory([noise(0.8, 20_000, seed)[:, 0]]) for seed in range(5)]
     assert np.mean(lengths) == pytest.approx(9 + 0.5, rel=0.15)
     assert memory([np.zeros(20)]) == 1
+    slow = [memory([noise(0.98, 50_000, seed)[:, 0]]) for seed in range(3)]
+    assert np.mean(slow) == pytest.approx(99, rel=0.15)
 
 
 def test_the_share_outside_is_what_the_blocks_allow() -> None:
