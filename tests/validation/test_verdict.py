@@ -10,7 +10,7 @@ from nnss_cli.datasets.record import Channels
 
 from nnss_cli.trained.simulate import Beyond
 from nnss_cli.validation.linearisation import Linearisations, integrators
-from nnss_cli.validation.verdict import _limit, verdict
+from nnss_cli.validation.verdict import _dynamics, _limit, verdict
 
 FITTED = "90.0 % that a linear model reaches which is fitted to this very record"
 COHERENT = "90.0 % that coherence leaves for linear relations, which need not be a model's ({})"
@@ -56,6 +56,20 @@ def test_a_record_beyond_the_range_of_training_is_told_and_no_order_is_advised()
         assert lines[0] == said.replace("at 6", f"at {found.samples}")
         assert lines[1] == f"'y': residuals are dependent on 'valve': dynamics are missing; {advice}."
         assert len(lines) == 2
+
+
+@pytest.mark.parametrize(("r1", "worth"), [(0.19, False), (0.21, True), (-0.21, True)])
+def test_errors_of_a_simulation_that_the_predictor_makes_up_for_are_told_from_a_fifth_on(
+    r1: float, worth: bool
+) -> None:
+    white: Any = SimpleNamespace(
+        name="y", depends=(SimpleNamespace(p_value=0.5),), white=SimpleNamespace(p_value=0.5), simulation_depends=(),
+        simulation_r1=r1,
+    )  # fmt: skip
+    said = list(_dynamics(white, 1, "", Channels(("u",), ("y",), ("",), ("",))))
+    assert [line.split(":")[1] for line in said] == [
+        f" residuals are white, while the simulation's errors are coloured (r1 = {r1:.2f})"
+    ] * worth
 
 
 def told(poles: list[list[complex]], integrating: int, without: tuple[str, ...] = ()) -> list[str]:
