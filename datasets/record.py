@@ -33,15 +33,15 @@ def as_floats(name: str, values: Any) -> FloatArray:
     """A float64 copy of numbers; what a mask hides is NaN, for it is no measurement.
 
     Raises:
-        InputError: they are complex, dates, durations or no numbers at all.
+        InputError: they are complex, dates, durations, whole numbers beyond all floats, or no numbers at all.
     """
-    if isinstance(values, np.ma.MaskedArray):
-        values = np.ma.filled(values.astype(np.float64), np.nan)
     try:
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         array = np.asarray(values)
         if array.dtype.kind not in NO_NUMBERS:
             return array.astype(np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: expected numbers: {error}") from error
     raise InputError(f"{name}: expected real numbers, found {NO_NUMBERS[array.dtype.kind]}")
 

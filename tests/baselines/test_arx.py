@@ -70,6 +70,21 @@ def test_it_is_the_f_test_of_nested_models_by_least_squares() -> None:
     assert feedthrough_p_value((Record(u, y, 1.0),)) == pytest.approx(expected, rel=1e-9)
 
 
+def test_of_several_outputs_the_smallest_p_value_counts_as_often() -> None:
+    """Bonferroni: of three outputs, three times that of the one in which the input shows most."""
+    given = record(np.random.default_rng(11), 200, 0.02, m=3)
+    p, z = 10, np.hstack([given.y, given.u])
+    past = np.hstack([np.ones((200 - p, 1)), *(z[p - i : 200 - i] for i in range(1, p + 1))])
+    without, along = (
+        np.sum((given.y[p:] - X @ np.linalg.lstsq(X, given.y[p:])[0]) ** 2, axis=0)
+        for X in (past, np.hstack([past, given.u[p:]]))
+    )
+    freedom = 200 - p - 4 * p - 2
+    smallest = scipy.stats.f.sf((without - along) / (along / freedom), 1, freedom).min()
+    assert smallest < 0.3
+    assert feedthrough_p_value((given,)) == pytest.approx(3 * smallest, rel=1e-9)
+
+
 @pytest.mark.parametrize("sines", range(1, 6))
 def test_an_input_that_its_past_tells_shows_nothing(sines: int) -> None:
     """What is left of it is rounding: of four sines its p-value was 3e-10, of others it depended on the machine."""
@@ -151,6 +166,27 @@ def test_units_and_offsets_move_a_steady_output_with_them() -> None:
     assert found == pytest.approx(off, rel=0.3)
     scaled = Record(1e3 * given.u + 5e4, 1e-4 * given.y - 7, 1.0)
     np.testing.assert_allclose(steady_outputs((scaled,)), 1e-4 * found, rtol=1e-4)
+
+
+def test_standard_errors_are_of_least_squares_by_the_delta_method() -> None:
+    """Of noise that has the samples less the coefficients for its degrees of freedom: a third of them here."""
+    given, _ = from_rest(np.random.default_rng(1), 76, 0.02)
+    p, z = 10, np.hstack([given.y, given.u]) - [given.y.mean(), given.u.mean()]
+    X = np.hstack([*(z[p - i : 76 - i] for i in range(1, p + 1)), z[p:, 1:], np.ones((66, 1))])
+    c = np.linalg.lstsq(X, z[p:, 0])[0]
+    at_rest = 1 - c[: 2 * p : 2].sum()
+    d = c[-1] / at_rest
+    slope = np.concatenate([np.tile([d, 0.0], p), [0.0, 1.0]]) / at_rest
+    variance = np.sum((z[p:, 0] - X @ c) ** 2) / (66 - 22)
+    found, deviation = steady_estimate((given,))
+    assert found == pytest.approx(d, rel=1e-6)
+    assert deviation == pytest.approx(np.sqrt(variance * slope @ np.linalg.solve(X.T @ X, slope)), rel=1e-4)
+
+
+def test_where_it_rests_is_told_beyond_three_standard_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, _ = from_rest(np.random.default_rng(1), 76, 0.02)
+    monkeypatch.setattr(arx, "steady_estimate", lambda _: (np.array([2.9, -2.9, 3.1, -3.1]), np.ones(4)))
+    np.testing.assert_array_equal(steady_outputs((given,)), [0, 0, 3.1, -3.1])
 
 
 def test_stretches_are_of_no_account(monkeypatch: pytest.MonkeyPatch) -> None:

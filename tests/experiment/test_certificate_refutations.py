@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import Channels, Record, Scaling
 
 from nnss_cli.experiment.certificate import certify, lti
@@ -120,6 +121,16 @@ def test_one_on_the_circle_is_unknown() -> None:
     found = certified(constant_model(np.eye(2), "float64"))
     assert found.box_radius >= 1
     assert {found.statement(name).status for name in ("frozen", "quadratic")} == {"unknown"}
+
+
+def test_a_linear_model_is_refuted_by_no_more_than_its_margin() -> None:
+    """Four equal eigenvalues just inside the circle, which rounding spreads over it by a thousandth."""
+    for pole, status in ((1 - 2.0**-24, "unknown"), (1.25, "refuted")):
+        A = jordan(4, pole, 1.0, 0.0)
+        assert lti.spectral_radius(A)[0] > 1
+        found = say.of_one_matrix(LinearStateSpace(A, np.ones((4, 1)), np.ones((1, 4)), np.zeros((1, 1)), 1.0), 1.0)
+        assert {statement.status for statement in found} == {status}
+        assert len(found) == 4
 
 
 @pytest.mark.parametrize("scheduling", SCHEDULING)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nnss_cli.baselines.statespace import LinearStateSpace
 from nnss_cli.datasets.record import FloatArray, Record
 from scipy.signal import butter, csd, lfilter
 
@@ -12,6 +13,7 @@ from nnss_cli.experiment.inspection import examine
 from nnss_cli.experiment.inspection_dynamics import (
     LEVEL,
     Spectra,
+    _f_test,
     _first,
     _size,
     band,
@@ -22,7 +24,7 @@ from nnss_cli.experiment.inspection_dynamics import (
     responses,
     welch,
 )
-from nnss_cli.experiment.inspection_order import HOW_GUESSED, _hankel, _horizons, guess_order
+from nnss_cli.experiment.inspection_order import HOW_GUESSED, _hankel, _horizons, _left, guess_order
 from nnss_cli.experiment.inspection_signals import (
     Channel,
     examine_channel,
@@ -189,6 +191,19 @@ def test_products_explain_nothing_of_noise_and_all_of_a_square() -> None:
     wrong = products([np.stack([u, lfilter([0] * 6 + [1.0], [1.0], u**2 - 1) + e], axis=1)], 1, 0, [1])
     assert wrong is not None
     assert wrong.gain < 0.05  # the square of another lag
+
+
+def test_a_share_explained_is_beyond_what_random_columns_would() -> None:
+    """Residual variances with and without the columns are compared, not squares, which fall with any column."""
+    shares = []
+    for seed in range(300):
+        X, y = noise(60, 12, seed=seed), noise(60, seed=1000 + seed)
+        found = _f_test(np.linalg.qr(np.column_stack([X, y]), mode="r"), 3, 60)
+        assert found is not None
+        before, after = (float(np.linalg.lstsq(X[:, :k], y)[1][0]) / (60 - k) for k in (3, 12))
+        assert found[0] == pytest.approx(max(0.0, 1 - after / before), rel=1e-9, abs=1e-12)
+        shares.append(1 - after / before)
+    assert np.mean(shares) == pytest.approx(0, abs=0.02)  # where nine of 57 squares are 0.16
 
 
 def test_a_product_of_output_and_input_is_seen() -> None:
@@ -514,6 +529,15 @@ def test_what_models_leave_is_of_the_samples_asked_for_and_counts_the_starts() -
     assert guess_order(*parts, [data[2000:2001]]).left == (None, None)  # its start alone explains one sample
 
 
+def test_what_a_model_leaves_of_short_stretches_counts_the_starts() -> None:
+    """Two states, fitted to each twenty samples of noise, explain a tenth of it by chance."""
+    turning = np.array([[0.95, 0.3], [-0.3, 0.95]])
+    model = LinearStateSpace(turning, np.zeros((2, 1)), np.array([[1.0, 0.0]]), np.zeros((1, 1)), 1.0)
+    signals = noise(100, 2, 20, 1)
+    assert _left([model], [Record(u, y, 1.0) for u, y in signals]) == (pytest.approx(1, abs=0.04),)
+    assert _left([model], [Record(u[:2], y[:2], 1.0) for u, y in signals]) == (None,)  # all of it
+
+
 # the split
 
 
@@ -526,8 +550,8 @@ def split_of(x: FloatArray, role: str = "output") -> tuple[str, tuple[str, ...],
 @pytest.mark.parametrize(
     ("beyond", "rule", "warned"),
     [
-        (4, "60/20/20", "2 %"), (20, "60/20/20", "10 %"), (21, "50/30/20", "7 %"), (30, "50/30/20", "10 %"),
-        (31, "40/40/20", "7.8 %"), (40, "40/40/20", "10 %"), (41, "60/20/20", "20 %"),
+        (4, "60/20/20", "2 %"), (5, "60/20/20", "2.5 %"), (20, "60/20/20", "10 %"), (21, "50/30/20", "7 %"),
+        (30, "50/30/20", "10 %"), (31, "40/40/20", "7.8 %"), (40, "40/40/20", "10 %"), (41, "60/20/20", "20 %"),
     ],
 )  # fmt: skip
 def test_another_split_is_recommended_when_a_tenth_of_validation_is_out_of_range(

@@ -186,7 +186,9 @@ def result(spec: RunSpec, status: Any) -> RunResult:
 
 def found(specs: Sequence[RunSpec], executor: Scripted, folder: Folder) -> list[RunResult]:
     executor.folder = folder
-    dataset = SimpleNamespace(fitting=SimpleNamespace(channels=Channels(("u",), ("y",), ("V",), ("m",))), notes=())
+    dataset = SimpleNamespace(
+        fitting=SimpleNamespace(channels=Channels(("u",), ("y",), ("V",), ("m",))), notes=(), title=""
+    )
     ended = outcomes.results([Task(spec, "nnss") for spec in specs], executor, dataset, folder, {})  # type: ignore[arg-type]
     listed = list(ended)
     assert folder.locked == 0, "a lock is left"

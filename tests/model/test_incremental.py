@@ -269,6 +269,21 @@ def whole_of(whole: Any) -> Any:
     return lambda engine, x0: whole(engine.sensitivities(x0), x0)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_bounds_of_the_outputs_matrices_are_what_corners_of_the_slopes_reach(kind: tuple) -> None:
+    """Each entry of B + F diag(d) H is affine in d, so a corner has its largest modulus, of either sign."""
+    for seed in range(5):
+        made = layer(architecture(kind), seed)
+        plain, _ = in_precision(made)
+        corners = [np.array(d) for d in itertools.product((0.0, 1.0), repeat=5)]
+        for found, constant, left, right in zip(
+            made.output_bounds(), (plain.B, plain.C, plain.D), (plain.F, plain.E, plain.E),
+            (plain.H, plain.G, plain.H), strict=True,
+        ):  # fmt: skip
+            reached = np.max([np.abs(constant + (left * d) @ right) for d in corners], axis=0)
+            np.testing.assert_allclose(found, reached, rtol=1e-12, atol=1e-15)
+
+
 def distances(model: NNSS, u: np.ndarray, x: np.ndarray, others: np.ndarray) -> np.ndarray:
     """‖x1(k) − x2(k)‖ (K, b) from states (n, b) and (n, b) under one input (K, r, b)."""
     weights, y = Weights(model), np.zeros((model.architecture.outputs, x.shape[1]))

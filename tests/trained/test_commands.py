@@ -69,6 +69,13 @@ def test_no_column_takes_the_place_of_another(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table[["x1_", "x2"]], [[7, 8], [9, 6]])
 
 
+def test_instants_are_written_to_the_millisecond_of_unix_time() -> None:
+    model: Any = SimpleNamespace(channels=Channels(("u",), ("y",), ("V",), ("m",)), Ts=0.001)
+    t = (1709625600001 + np.arange(50)) / 1000
+    table = pd.read_csv(io.StringIO(output_table(model, np.zeros((50, 1)), t=t)))
+    np.testing.assert_array_equal(table["time"], t)
+
+
 @pytest.mark.system
 def test_what_is_written_has_the_times_of_the_file(
     new: Path, nnss: Callable, trained_folder: Callable[..., Path]

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from nnss_cli.datasets.record import Simulation
+from nnss_cli.datasets.record import Record, Simulation
 
 import nnss_cli
 from nnss_cli.errors import InputError
@@ -113,6 +113,9 @@ def test_a_label_that_is_a_number_is_no_name() -> None:
         (pd.DataFrame({"u1": [0.0], "v": [0.0]}), np.zeros(2), "expected the columns u1, u2, found u1, v"),
         ([[0.0, np.nan]], np.zeros(2), "sample 0 of 'u2' is nan"),
         ([["a", "b"]], np.zeros(2), "expected numbers"),
+        (np.ma.masked_equal([["a", "b"]], "b"), np.zeros(2), "u: expected numbers"),
+        ([[10**400, 1]], np.zeros(2), "u: expected numbers: int too large to convert to float"),
+        (np.zeros((2, 2)), [1, -(10**400)], "y_init: expected numbers: int too large to convert to float"),
         (pd.DataFrame(np.zeros((3, 2))), np.zeros(2), "u: expected the columns u1, u2, found 0, 1 .numbers, not names"),
         (np.ma.masked_equal([[0.0, 9.0]], 9.0), np.zeros(2), "sample 0 of 'u2' is nan"),
         (np.zeros((2, 2)), np.ma.masked_equal([0.0, 9.0], 9.0), "y_init: expected a finite number for each of y1, y2"),
@@ -128,6 +131,23 @@ def test_wrong_signals_are_named(u: object, y_init: object, told: str, trained_f
     with pytest.raises(InputError, match=told) as error:
         load(trained_folder(r=2, m=2)).simulate(u, y_init)
     assert "\n" not in str(error.value)
+
+
+def test_a_whole_number_beyond_all_floats_is_refused_wherever_values_are_given(
+    untrained: Callable[..., TrainedModel],
+) -> None:
+    model, huge = untrained(n=2), 10**400
+    masked = np.ma.masked_array(np.array([1, huge], dtype=object), [True, False])
+    for name, call in (
+        ("u", lambda: model.simulate([1, huge])), ("u", lambda: model.simulate(pd.Series([1, huge]))),
+        ("u", lambda: model.simulate(masked)), ("y_init", lambda: model.simulate([1.0], huge)),
+        ("x0", lambda: model.simulate([1.0], x0=[huge, 1])), ("u", lambda: model.linearise(huge)),
+        ("u", lambda: model.equilibrium(huge)), ("x", lambda: model.matrices([1, huge])),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"^{name}: expected numbers: int too large to convert to float$"):
+            call()
+    with pytest.raises(InputError, match="^y: expected numbers: int too large"):
+        Record([1, 2], [1, huge], 0.5)
 
 
 @pytest.mark.parametrize("kind", [{}, {"scheduling": "x+u+y", "m": 2}, {"integrator": True, "scheduling": "x+u"}])

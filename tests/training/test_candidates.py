@@ -580,3 +580,12 @@ def test_a_budget_ends_a_fit_and_says_what_it_left_out(small_data: Callable, mon
         train_nnss(data, 2, 0, recipe.replace(budget=0.5))  # a second passes between two looks at the clock
     with pytest.raises(InputError, match="budget: expected seconds, or 0 for no bound, found -1"):
         recipe.replace(budget=-1.0)
+
+
+@pytest.mark.parametrize(("p_value", "tried"), [(0.0099, True), (0.011, False), (0.09, False)])
+def test_a_feedthrough_is_tried_where_the_input_shows_at_one_percent(
+    p_value: float, tried: bool, small_data: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(candidates_module, "feedthrough_p_value", lambda _: p_value)
+    data = small_data(K=150).fitting
+    assert ("feedthrough" in worth_trying(data, 2, RECIPE, data.train)) == tried

@@ -135,6 +135,8 @@ def test_blocks_are_as_long_as_the_memory() -> None:
     slow = [memory([noise(0.97, 50_000, seed)[:, 0]]) for seed in range(5)]
     assert np.mean(slow) == pytest.approx(1.97 / 0.03, rel=0.15)  # of which twenty lags have less than a half
     assert memory([np.zeros(20)]) == 1
+    slow = [memory([noise(0.98, 50_000, seed)[:, 0]]) for seed in range(3)]
+    assert np.mean(slow) == pytest.approx(99, rel=0.15)
 
 
 def test_the_share_outside_is_what_the_blocks_allow() -> None:

@@ -25,13 +25,14 @@ def record(length: int) -> Record:
     ("lost", "taken"), [((), "lively"), ((1.0,), "steady"), ((1.0, 2.0), "none")], ids=["none lost", "one", "both"]
 )
 @pytest.mark.parametrize("long", ["train", "val"])
+@pytest.mark.parametrize("whole_error", [1e9, 1.001], ids=["far", "hardly"])  # K = 0 has 1
 def test_a_gain_that_is_lost_along_a_whole_record_is_not_taken(
-    monkeypatch: pytest.MonkeyPatch, lost: tuple[float, ...], taken: str, long: str
+    monkeypatch: pytest.MonkeyPatch, lost: tuple[float, ...], taken: str, whole_error: float, long: str
 ) -> None:
     def judge(_: Any, K: np.ndarray, records: list[Record], w: int) -> tuple[np.ndarray, list[Any]]:
         del w
         whole = sum(map(len, records)) > SAMPLES
-        return np.array([1e9 if whole and k in lost else ON_PARTS[float(k)] for k in K.ravel()]), []
+        return np.array([whole_error if whole and k in lost else ON_PARTS[float(k)] for k in K.ravel()]), []
 
     monkeypatch.setattr(gain, "_judge", judge)
     monkeypatch.setattr(gain, "_contraction", lambda _, K, __: np.full((2, len(K)), 0.5))
@@ -41,6 +42,14 @@ def test_a_gain_that_is_lost_along_a_whole_record_is_not_taken(
     data = records["train"], records["val"], 1
     found = gain._chosen(gain._judged(SimpleNamespace(), [(None, candidates)], *data), *data)  # type: ignore[arg-type]
     assert found.origin == taken
+
+
+def test_of_a_long_record_4096_samples_are_looked_at_where_the_inputs_vary_most() -> None:
+    u = np.random.default_rng(0).standard_normal((9000, 1)) * np.where(np.arange(9000) < 4096, 0.1, 1.0)[:, None]
+    long = Record(u, np.arange(9000.0), 1.0)  # each output tells its place
+    assert sum(map(len, gain._stretches([long[:4096]], 1))) == 4096
+    (part,) = gain._stretches([long], 1)
+    np.testing.assert_array_equal(part.y[:, 0], np.arange(4096.0, 2 * 4096))
 
 
 def test_an_observer_that_grows_along_training_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,18 @@ def test_the_prior_is_that_of_validation(plant_run: Callable[..., Path]) -> None
         np.testing.assert_allclose(found.guard((horizon,)).strengths[horizon], expected)
 
 
+@pytest.mark.parametrize("horizon", [1, 4])
+def test_the_prior_counts_as_a_hundred_horizons(horizon: int) -> None:
+    """Of a model that is off by the usual gap all along, so that persistence is right: v = D/(a + D)."""
+    usual = np.full((50, 1), 3.0)
+    a = prior_strength([usual], horizon)
+    lost = np.full((101 * horizon + 1, 1), 3.0)
+    v = weights(lost, lost, a, horizon, 0)
+    forget = 0.99 ** (1 / horizon)
+    seen = (1 - forget ** (100 * horizon + 1)) / (1 - forget)  # samples, discounted
+    np.testing.assert_allclose(v[-1], seen / (100 * horizon + seen), rtol=1e-9)
+
+
 @pytest.mark.system
 def test_a_forecaster_is_guarded_where_it_is_asked_to_be(plant_run: Callable[..., Path]) -> None:
     """Predictions and their bands; the simulation is what it was."""

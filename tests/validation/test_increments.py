@@ -14,7 +14,7 @@ from nnss_cli.datasets.record import FloatArray, Record
 from nnss_cli.model.nnss import NNSS
 from nnss_cli.report import simulation
 from nnss_cli.validation.disturbance import Increments
-from nnss_cli.validation.gain import ALONE, Gain, _beats_persistence, estimate_gain
+from nnss_cli.validation.gain import ALONE, INCREMENTS, Gain, _beats_persistence, estimate_gain
 from nnss_cli.validation.predictor import Predictor, step_table, steppers_of
 
 Signals = tuple[FloatArray, FloatArray, FloatArray]
@@ -131,6 +131,8 @@ def test_increments_are_taken_where_nothing_else_beats_persistence(linear: Linea
     assert found.origin == ALONE
     assert found.rate < 1
     assert len(found.K) == stepper.size + found.disturbance.size  # type: ignore[union-attr]
+    tried = {name for name in found.val if name.startswith(INCREMENTS)}
+    assert tried == {f"{kind}, {lags} lags" for kind in (ALONE, INCREMENTS) for lags in (0, 1, 2, 3)}
     table = step_table(Predictor(linear, (found.K,), (found.disturbance,)), (test,), (1,))
     assert table.predicted[0, 0] == pytest.approx(3, rel=0.1)  # what nobody can foresee
     assert table.persistence[0, 0] > 2 * table.predicted[0, 0]

@@ -5,7 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.signal
+from nnss_cli.baselines.n4sid import n4sid
 from nnss_cli.baselines.statespace import LinearStateSpace
+from nnss_cli.baselines.subspace import Horizon
 from nnss_cli.datasets.record import FloatArray, Record, Scaling
 
 from nnss_cli.errors import InputError
@@ -118,6 +120,27 @@ def test_the_limit_is_the_larger_of_both(monkeypatch: pytest.MonkeyPatch) -> Non
     assert both[0] == fitted_alone[0] == pytest.approx(100)
     assert both[1] > 95  # type: ignore[operator]
     assert fitted_alone[1] < 5  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("order", "failing"), [(6, "ssest"), (3, "n4sid")])
+def test_orders_up_to_six_and_one_more_than_the_models_own_are_fitted(
+    order: int, failing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plant without noise of order 6, or of one more than the model's 2: by either way alone nothing is left."""
+
+    def short(*_: object) -> LinearStateSpace:
+        raise InputError("too short")
+
+    def quick(records: tuple[Record, ...], _: object, order: int) -> LinearStateSpace:
+        return n4sid(records, order, Horizon(4 * order, 4 * order, True, "moesp"))
+
+    monkeypatch.setattr(limit, "ssest", quick)
+    monkeypatch.setattr(limit, failing, short)
+    poles = np.linspace(0.3, 0.9, order) * (-1.0) ** np.arange(order)
+    u = np.random.default_rng(0).standard_normal((600, 1))
+    u = np.concatenate([u - u.mean(), np.zeros((100, 1))])  # from rest to rest, so that means go with each other
+    record = Record(u, scipy.signal.lfilter([0.0, 1.0], np.poly(poles), u, axis=0), 1.0)
+    assert fitted_limits([record], 2) == [pytest.approx(100, abs=0.1)]
 
 
 def test_what_does_not_vary_has_no_limit(fitted: Callable) -> None:

@@ -44,6 +44,14 @@ def test_independent_signals_are_rejected_as_often_as_said(error: float, signal:
     assert 0.005 <= np.mean(np.array(p) < LEVEL) <= 0.015
 
 
+def test_a_memory_of_eight_samples_is_no_dependence() -> None:
+    """Of signals that each repeat what they were eight samples ago: at 1 %, more than 11 of 400 have 0.1 %."""
+    season = [1.0, *[0.0] * 7, -0.8]
+    white = np.random.default_rng(0).standard_normal((400, 2, 600))
+    p = [dependence([e], [u]).p_value for e, u in scipy.signal.lfilter([1], season, white)[..., 200:]]
+    assert np.sum(np.array(p) < LEVEL) <= 11
+
+
 def test_the_statistic_is_that_of_statsmodels() -> None:
     """Box and Pierce's there, with what Li and McLeod add for one record: L (L + 1)/(2 N)."""
     e = coloured(0.2, 700, 3)
@@ -139,14 +147,17 @@ def test_a_mean_that_follows_a_signal_is_told_apart_from_noise() -> None:
     assert (two.share, two.p_value) == (0, 1)  # a line goes through both
 
 
-def test_bands_of_a_profile_hold_the_mean_residual_as_often_as_said() -> None:
-    """Of 200 records in ten bins each 99 %; normal quantiles of an estimated deviation make it a little less."""
-    random, held = np.random.default_rng(5), []
-    for _ in range(200):
-        found = profile(3 * random.standard_normal(400), random.standard_normal(400))
+@pytest.mark.parametrize("levels", [0, 4])
+def test_bands_of_a_profile_hold_99_percent_of_white_residuals_means(levels: int) -> None:
+    """Of ten bins with equally many samples, and of four levels with few and with many."""
+    random, beyond = np.random.default_rng(5), []
+    for _ in range(300):
+        x = np.repeat([1.0, 2.0, 5.0, 6.0], [20, 40, 80, 160]) if levels else random.standard_normal(300)
+        found = profile(random.standard_normal(300), x)
         assert found is not None
-        held.append(np.abs(found.means) <= found.bands)
-    assert 0.98 <= np.mean(held) <= 0.997
+        beyond.append(np.abs(found.means) > found.bands)
+    assert 0.005 <= np.mean(beyond) <= 0.015
+    assert np.mean(beyond, axis=0).max() <= 0.03  # 3 of 300 each: more than 9 would have a probability below 0.1 %
 
 
 def test_a_profile_is_the_f_test_of_bins_beside_a_line() -> None:

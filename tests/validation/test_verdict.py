@@ -58,14 +58,18 @@ def test_a_record_beyond_the_range_of_training_is_told_and_no_order_is_advised()
         assert len(lines) == 2
 
 
-@pytest.mark.parametrize(("r1", "said"), [(0.21, True), (-0.21, True), (0.19, False)])
-def test_errors_of_the_simulation_are_coloured_from_a_fifth_on(r1: float, said: bool) -> None:
-    each: Any = SimpleNamespace(
-        name="y", depends=(SimpleNamespace(p_value=0.5),), white=SimpleNamespace(p_value=0.5),
-        simulation_depends=(0.5,), simulation_r1=r1,
+@pytest.mark.parametrize(("r1", "worth"), [(0.19, False), (0.21, True), (-0.21, True)])
+def test_errors_of_a_simulation_that_the_predictor_makes_up_for_are_told_from_a_fifth_on(
+    r1: float, worth: bool
+) -> None:
+    white: Any = SimpleNamespace(
+        name="y", depends=(SimpleNamespace(p_value=0.5),), white=SimpleNamespace(p_value=0.5), simulation_depends=(),
+        simulation_r1=r1,
     )  # fmt: skip
-    lines = list(_dynamics(each, 1, "", Channels(("u",), ("y",), ("–",), ("–",))))
-    assert [f"the simulation's errors are coloured (r1 = {r1:.2f})" in line for line in lines] == [True] * said
+    said = list(_dynamics(white, 1, "", Channels(("u",), ("y",), ("",), ("",))))
+    assert [line.split(":")[1] for line in said] == [
+        f" residuals are white, while the simulation's errors are coloured (r1 = {r1:.2f})"
+    ] * worth
 
 
 def told(poles: list[list[complex]], integrating: int, without: tuple[str, ...] = ()) -> list[str]:
