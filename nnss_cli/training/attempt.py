@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
-from nnss_cli.datasets.windows import sliding_windows
+from nnss_cli.datasets.windows import SHORTEST, beginnings, sliding_windows
 from nnss_cli.iterative import EarlyStopping, EpochCallback, named_random
 from nnss_cli.model.initial import SINGULAR
 from nnss_cli.model.nnss import NNSS
@@ -24,6 +24,8 @@ from nnss_cli.training.start import LinearStarter, begin
 
 LENGTHS = ((20, 40), (60, 30), (200, 20))
 """Samples of windows that lengthen, and Gauss–Newton iterations on each."""
+WINDOWED = 2000
+"""Samples that windows are of, all together and at most: each of their states costs as much as a weight."""
 HIDDEN = 0.5
 """Share of a rival's training error that windows with states of their own must come below, and the whole records after
 them: else no better optimum is hidden from whole records, and what validates better does so for other reasons."""
@@ -221,6 +223,8 @@ class Attempt:
             None where no window fits twice into the shortest record, or no step lowered an error.
         """
         watch, records = self.watch, self.watch.records
+        if sum(map(len, records)) > WINDOWED:
+            records = beginnings(records, WINDOWED, SHORTEST)
         losses: list[float] = []  # of one length
 
         def goes_on(loss: float) -> bool:

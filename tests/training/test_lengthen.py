@@ -203,6 +203,21 @@ def test_windows_have_no_more_iterations_than_epochs_are_asked_for(monkeypatch: 
     assert seen == [3, 3, 3, 35, 30, 35]
 
 
+def test_of_long_records_windows_are_of_their_beginnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[int]] = []
+    plain = attempt.gauss_newton
+
+    def noting(engine: object, u: list, y: list, iterations: int, *rest: object) -> list[np.ndarray]:
+        seen.append([len(window) for window in y])
+        return plain(engine, u, y, 1, *rest)
+
+    monkeypatch.setattr(attempt, "gauss_newton", noting)
+    monkeypatch.setattr(attempt, "WINDOWED", 150)
+    train_nnss(ringing(200, 100), 2, 0, SHORT)
+    train_nnss(ringing(100, 50), 2, 0, SHORT)
+    assert seen == [[20] * 7, [200, 100], [20] * 7, [100, 50]]
+
+
 def test_records_too_short_for_two_windows_train_as_they_are() -> None:
     data = ringing(39, 60)
     with_windows, plain = (train_nnss(data, 2, 0, SHORT.replace(lengthen=each)) for each in ("yes", "no"))
