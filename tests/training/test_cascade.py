@@ -451,7 +451,9 @@ def test_it_is_tried_on_long_records_alone_and_must_be_clearly_ahead(
     between: FittingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "ROUNDS", ((15, 6), (25, 2)))
-    recipe = recipe_of("best", {}, 4).replace(epochs=6, hidden=(3,), feedthrough="no", integrator="no", lead=200)
+    recipe = recipe_of("best", {}, 4).replace(
+        epochs=6, hidden=(3,), feedthrough="no", integrator="no", lead=200, lengthen="no"
+    )
     first = tuple(record[:200] for record in between.train)
     assert worth_trying(between, 4, recipe, first) == ("cascade",)
     assert worth_trying(between, 1, recipe, first) == ()
