@@ -12,6 +12,7 @@ import numpy as np
 from nnss_cli.baselines.arx import feedthrough_p_value, longest_time_constant
 from nnss_cli.datasets.record import FittingData, FloatArray, Record
 from nnss_cli.datasets.windows import SHORTEST
+from nnss_cli.training.attempt import LENGTHS, WINDOWED
 from nnss_cli.training.recipe import Recipe
 
 LEVEL = 0.01
@@ -45,10 +46,11 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
 
     A feedthrough where the input shows at once in the output, an integrator where a pole cannot be told from one, both
     together where both are (the input may show at once in what is summed up), windows that lengthen where the weights
-    do not outnumber the measured outputs (elsewhere it says nothing that they fit), an incrementally stable layer where
-    its weights do not either and the first stage is all there is, a deep cold model where the generator's do. A layer
-    of few weights is ahead on a short beginning of a record, and may be behind on all of it, so that on longer ones it
-    is tried from a cascade alone, which must be ahead by far.
+    and the states of the shortest are half as many as the measured outputs or fewer (else it says nothing that they
+    fit), an incrementally stable layer where the first stage is all there is and its weights do not outnumber the
+    measured outputs, a deep cold model where the generator's do. A layer of few weights is ahead on a short beginning
+    of a record, and may be behind on all of it, so that on longer ones it is tried from a cascade alone, which must be
+    ahead by far.
 
     Args:
         data: physical units.
@@ -59,6 +61,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
     open_ones = recipe.alternatives(min(map(len, first)))
     known = sum(record.y.size for record in data.train)
     staged = sum(map(len, first)) < sum(map(len, data.train))
+    windowed = min(sum(map(len, first)), WINDOWED)
 
     def weights(changes: dict[str, Any]) -> int:
         model = recipe.simplest().replace(**changes, encoder_window=1)  # the encoder's are a regression on states
@@ -73,7 +76,7 @@ def worth_trying(data: FittingData, order: int, recipe: Recipe, first: tuple[Rec
         ),
         "both": lambda: {"feedthrough", "integrator"} <= set(found),
         "scheduling": lambda: True,
-        "lengthen": lambda: weights({}) <= known,  # elsewhere a low training error says nothing
+        "lengthen": lambda: 2 * (weights({}) + order * (windowed // LENGTHS[0][0])) <= windowed * data.output_count,
         "stability": lambda: not staged and weights(open_ones["stability"]) <= known,
         "cascade": lambda: staged and order >= 2,
         "initial": lambda: weights({}) > known,

@@ -393,8 +393,9 @@ def test_a_cold_model_is_tried_where_weights_outnumber_outputs(small_data: Calla
     assert "initial" in worth_trying(data, 2, best, data.train)
     enough = fitting(small_data(), without_feedthrough, K=weights)
     assert "initial" not in worth_trying(enough, 2, best, enough.train)
-    assert "lengthen" not in worth_trying(data, 2, best, data.train)  # whether one fits says nothing there
-    assert "lengthen" in worth_trying(enough, 2, best, enough.train)
+    for samples, tried in ((2.5 * weights - 20, False), (2.5 * weights + 20, True)):  # K ≥ 2 (weights + 2 K/20)
+        some = fitting(small_data(), without_feedthrough, K=int(samples))
+        assert ("lengthen" in worth_trying(some, 2, best, some.train)) == tried  # else it says nothing that one fits
     assert best.alternatives(50)["initial"]["window"] == 30
     assert best.alternatives(1000)["initial"]["window"] == 60
     settings = METHODS["nnss"].settings
