@@ -153,12 +153,13 @@ def places(
         named = first.with_stem(f"{first.stem}-{number}") if number > 1 else first
         found = [named, *(named.with_suffix(suffix) for suffix in beside)]
         taken = [] if force else [path for path in found if path.exists()]
+        if taken and out is None:
+            continue
         for path in found:
             refuse_to_replace(path, read, "--out")
         if not taken:
             break
-        if out is not None:
-            raise InputError(f"'{taken[0]}' exists already: name another file with --out, or --force to replace it")
+        raise InputError(f"'{taken[0]}' exists already: name another file with --out, or --force to replace it")
     return found
 
 

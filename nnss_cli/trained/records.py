@@ -126,15 +126,11 @@ def read_start(
     """
     path = Path(path)
     inputs, w = model.channels.inputs, model.init_window
-    names = (*inputs, *model.channels.outputs)
-    try:
-        values, table, t = _columns(
-            model, path, names, time, Ts, sheet, ", or give --start rest, which needs no outputs"
-        )
-    except InputError:
-        if outputs:
-            raise
-        values, table, t = _columns(model, path, inputs, time, Ts, sheet)
+    if outputs:
+        rest = ", or give --start rest, which needs no outputs"
+        values, table, t = _columns(model, path, (*inputs, *model.channels.outputs), time, Ts, sheet, rest)
+    else:
+        values, table, t = _columns(model, path, inputs, time, Ts, sheet, optional=model.channels.outputs)
     u, y = values[:, : len(inputs)], values[:, len(inputs) :]
     check_complete(u, inputs, lambda k: place(table, k), FILL)
     if not outputs:
@@ -153,13 +149,15 @@ def _columns(
     Ts: float | None,
     sheet: str | int | None,
     without_outputs: str = "",
+    optional: Sequence[str] = (),
 ) -> tuple[FloatArray, Any, FloatArray | None]:
     """Values (K, c) of these columns, NaN where a sample is missing; the table; its instants (K,), if no dates.
 
-    `without_outputs` ends the message where outputs alone are missing.
+    `without_outputs` ends the message where outputs alone are missing. `optional` columns follow where all of them are
+    there, as numbers.
     """
     try:
-        table = _table(path, names, time, sheet, time is None and Ts is None)
+        table = _table(path, names, optional, time, sheet, time is None and Ts is None)
     except InputError as error:
         if "has no column" not in str(error):
             raise
@@ -178,6 +176,9 @@ def _columns(
     if time is not None and stamped in names:
         raise InputError(f"'{path.name}': expected another column than a channel's for the time, found '{stamped}'")
     values = np.column_stack([numbers(table, name) for name in names])
+    if set(optional) <= set(table.columns):
+        with suppress(InputError):
+            values = np.column_stack([values, *[numbers(table, name) for name in optional]])
     clock: str | None = None
     t: FloatArray | None = None
     at_its_own = f"a model runs at its own sampling time alone: bring the file to {model.Ts:.9g} s"
@@ -186,7 +187,7 @@ def _columns(
         rounded = "repair the file, or leave --time out where the times are only rounded"
         found = uniform_Ts(t, lambda k: place(table, k), rounded)
         check_agreement(model.Ts, found, f"'{path.name}', column '{time}', against the model", at_its_own)
-    elif Ts is None and (rising := _rising_time(table, names)) is not None:
+    elif Ts is None and (rising := _rising_time(table, (*names, *optional))) is not None:
         clock, t = rising
         try:
             check_clock(table, clock, t)
@@ -213,14 +214,29 @@ def _remedy(missing: Sequence[str], held: Sequence[str]) -> str:
     return ", and ".join([*told, *[f"rename what stands for {', '.join(others)}"] * bool(others)])
 
 
-def _table(path: Path, channels: Sequence[str], time: str | int | None, sheet: str | int | None, whole: bool) -> Any:
-    """Columns of channels and time; the whole table where that is asked for and has them, as one of several may not."""
+def _table(
+    path: Path,
+    channels: Sequence[str],
+    optional: Sequence[str],
+    time: str | int | None,
+    sheet: str | int | None,
+    whole: bool,
+) -> Any:
+    """Columns of channels and time; the whole table where that is asked for and has them, as one of several may not.
+
+    `optional` channels are left out where the file has them not all.
+    """
     wanted = [*channels] if time is None else [*channels, time]
     if whole:
         with suppress(InputError):
             table = read_table(path, None, sheet)
             if set(wanted) <= set(table.columns):
                 return table
+    if optional:
+        with suppress(InputError):
+            return read_table(
+                path, [*channels, *optional, *wanted[len(channels) :]], sheet, known=(*channels, *optional)
+            )
     return read_table(path, wanted, sheet, known=channels)
 
 

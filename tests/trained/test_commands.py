@@ -21,7 +21,7 @@ from nnss_cli.modelfile import FORMAT
 from nnss_cli.report.simulation import missing_lines
 from nnss_cli.report.tables import number
 from nnss_cli.testing import small_dataset
-from nnss_cli.trained import TrainedModel, load
+from nnss_cli.trained import TrainedModel, load, records
 from nnss_cli.trained.simulate import beyond_training, output_table, require_finite, simulate_file
 from nnss_cli.validation.trained import simulation_limits
 
@@ -317,6 +317,34 @@ def test_nothing_is_overwritten_unasked(new: Path, nnss: Callable, trained_folde
     assert Path("predicted.csv").read_text() == "mine"
     assert nnss("simulate", trained_folder(), new, "--force").code == 0
     assert Path("predicted.csv").read_bytes() == Path("predicted-2.csv").read_bytes()
+
+
+def test_a_record_of_the_usual_name_is_passed_over(new: Path, nnss: Callable, trained_folder: Callable) -> None:
+    """As any file of that name is: what is read need not be called otherwise."""
+    shutil.copy(new, "predicted.csv")
+    done = nnss("simulate", trained_folder(), "predicted.csv")
+    assert done.code == 0, done.err
+    assert Path("predicted.csv").read_bytes() == new.read_bytes()
+    assert done.out.endswith("predicted-2.csv\n")
+
+
+@pytest.mark.parametrize("options", [(), ("--ts", "0.5"), ("--time", "t")])
+@pytest.mark.parametrize("outputs", [True, False])
+def test_from_rest_a_file_is_read_once_or_twice(
+    outputs: bool, options: tuple[str, ...], nnss: Callable, trained_folder: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its outputs once; without them once more at most, where columns were asked for by name."""
+    reads: list[str] = []
+    plain = records.read_table
+    monkeypatch.setattr(
+        records, "read_table", lambda path, *rest, **more: reads.append(path) or plain(path, *rest, **more)
+    )
+    table = pd.DataFrame({"t": 0.5 * np.arange(20), "u1": np.full(20, 0.7), "y1": 0.0})
+    (table if outputs else table.drop(columns="y1")).to_csv("new.csv", index=False)
+    done = nnss("simulate", trained_folder(), "new.csv", "--start", "rest", *options)
+    assert done.code == 0, done.err
+    assert ("RMSE" in done.out) == outputs
+    assert len(reads) == (1 if outputs or not options else 2)
 
 
 def test_what_is_read_is_not_replaced_even_when_forced(
