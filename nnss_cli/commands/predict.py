@@ -61,7 +61,7 @@ def command(
     require_writable(written[0].parent)
     write_text(written[0], output_table(trained, found.y, found.limits.pair if found.limits else None, t=t))
     print_rows(step_rows(found.steps, trained.channels), f"{file.name}: {trained.label}", text_columns=1)
-    if beyond := beyond_training(trained.records().get("train", ()), trained.channels, record.u, record.y):
+    if beyond := beyond_training(predictor.own.train, trained.channels, record.u, record.y):
         print_rows(beyond_rows(beyond), f"{file.name}: beyond the training records no data speak for the model", 1)
     lines = gain_lines(predictor.gains) + (
         guard_lines(found.weight, trained.channels) if found.weight is not None else []

@@ -56,10 +56,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     rates = tuple(max(gain.rate, here) for gain, here in zip(found.gains, found.rates_along(records), strict=True))
     left_out = max(w, min(needed, shortest // 5))
     begin = unscored(w)
-    # what the model was trained on, as far as it is known: the predictor may be fitted to other records (--data)
-    kept = trained.records()
-    own = Fitting(kept.get("train", ()), kept.get("val", ()))
-    scaling = trained.scaling or Scaling.of(own.train or found.fitting.train)
+    scaling = trained.scaling or Scaling.of(found.own.train or found.fitting.train)
     scores = score_outputs(name, [r.y[begin:] for r in records], [s.y[begin:] for s in simulated], scaling)
     reached = fitted_limits(records, trained.order, begin)
     if isinstance(trained.model, LinearModel):
@@ -86,7 +83,7 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
     poles = pole_map(trained, records, simulated)
     linear = linearisations(trained, records)
     signals = (np.concatenate([getattr(record, name) for record in records]) for name in ("u", "y"))
-    beyond = beyond_training(own.train, trained.channels, *signals)
+    beyond = beyond_training(found.own.train, trained.channels, *signals)
     tests = stated(outputs, steps, rates, [gain.origin for gain in found.gains], trained.channels)
     radius = float(np.abs(poles).max()) if poles.size else math.nan
     try:
@@ -100,7 +97,8 @@ def validate(found: Forecaster, records: Sequence[Record], name: str) -> Validat
             *verdict(
                 outputs, steps, tests, trained.order, poles, trained.channels, linear, integrators(trained), beyond
             ),
-            *_known((own, found.fitting), records), *_early(left_out, needed),
+            *_known([found.own, *[found.fitting] * (found.fitting is not found.own)], records),
+            *_early(left_out, needed),
         ),
         tuple(gain.origin for gain in found.gains), rates, poles, radius, linear,
         np.arange(len(records[0])) * trained.Ts, records[0].y, simulated[0].y, one_ahead[0], band,

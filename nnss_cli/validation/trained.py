@@ -48,6 +48,8 @@ class Forecaster:
     """Where they come from."""
     guarded: bool = False
     """Whether predictions are weighed against persistence as errors are seen (`nnss_cli.validation.guard`)."""
+    own: Fitting = Fitting((), ())
+    """What the model itself was made of, as far as its run keeps it; the gains may come from other records."""
 
     def predict(self, record: Record, horizon: int) -> FloatArray:
         """ŷ(k | k − h) (K, m), physical units; see `Predictor.predict`."""
@@ -119,13 +121,19 @@ def fitting_records(trained: TrainedModel, data: Record | None = None) -> Fittin
                 "that both parts are longer than the init window"
             )
         return Fitting((data[:first],), (data[first:],))
-    kept = trained.records()
-    if not kept.get("train") or not kept.get("val"):
+    own = _made_on(trained)
+    if not own.train or not own.val:
         raise InputError(
             f"'{trained.folder}' keeps no training and validation records: give a record that the gain and the bands "
             "may be fitted on, with --data FILE"
         )
-    return Fitting(kept["train"], kept["val"])
+    return own
+
+
+def _made_on(trained: TrainedModel) -> Fitting:
+    """What the model itself was made on, as far as its run keeps it."""
+    kept = trained.records()
+    return Fitting(kept.get("train", ()), kept.get("val", ()))
 
 
 def records_to_validate(trained: TrainedModel, split: str = "") -> tuple[str, tuple[Record, ...]]:
@@ -156,9 +164,10 @@ def forecaster(trained: TrainedModel, data: Record | None = None, guarded: bool 
     """
     steppers = steppers_of(trained.model)
     fitting = fitting_records(trained, data)
+    own = fitting if data is None else _made_on(trained)
     gains = tuple(estimate_gain(each, fitting.train, fitting.val, trained.init_window) for each in steppers)
     predictor = Predictor(trained.model, tuple(gain.K for gain in gains), tuple(gain.disturbance for gain in gains))
-    return Forecaster(trained, predictor, gains, fitting, guarded)
+    return Forecaster(trained, predictor, gains, fitting, guarded, own)
 
 
 def simulator(trained: TrainedModel) -> Predictor:
