@@ -109,10 +109,9 @@ class Attempt:
         or where none of the first `FEW` was better than its start.
         """
         self.recipe, self.seed = recipe, seed
-        # a rival's training error, where windows are tried against it, and what they must come below
+        # a rival's training error, where windows are tried against it
         self.fitted_before = rival.fitted if rival and recipe.lengthen == "yes" != rival.recipe.lengthen else math.inf
-        self.bar = HIDDEN * self.fitted_before
-        self.needless = False  # windows do not come below it, so nothing was trained
+        self.needless = False  # windows do not come below `bar`, so nothing was trained
         architecture = recipe.architecture(order, data.input_count, data.output_count)
         self.model = NNSS(architecture, data.scaling, data.channels, data.Ts)
         self.start, self.remarks = begin(
@@ -134,6 +133,11 @@ class Attempt:
     def fitted(self) -> float:
         """Lowest training error so far, RMSE/σ; inf before the first epoch."""
         return math.sqrt(min(self.watch.losses, default=math.inf))
+
+    @property
+    def bar(self) -> float:
+        """The training error that windows must come below; inf where they are not tried against a rival."""
+        return HIDDEN * self.fitted_before
 
     @property
     def hidden(self) -> bool:

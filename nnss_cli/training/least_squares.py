@@ -95,10 +95,11 @@ class NormalEquations:
             for one in together:
                 own = slice(p + one.window * n, p + (one.window + 1) * n)
                 e, D = errors[at : at + len(one.errors)], J[at : at + len(one.errors)]
-                by_x0 = part.gram[p:] if len(together) == 1 else D[:, p:].T @ D
+                alone = len(together) == 1
+                by_x0, down = (part.gram[p:], part.slope[p:]) if alone else (D[:, p:].T @ D, D[:, p:].T @ e)
                 gram[own, :p] += by_x0[:, :p]
                 gram[own, own] += np.tril(by_x0[:, p:])
-                slope[own] += part.slope[p:] if len(together) == 1 else D[:, p:].T @ e
+                slope[own] += down
                 states.append(one.x)
                 at += len(e)
         return cls(gram, slope, squares, count), states

@@ -102,7 +102,7 @@ def test_a_longer_window_begins_from_the_states_of_the_shorter(monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
-    ("lengths", "share"), [((131, 127), 0.01), ((39, 60), 0.5)], ids=["no window is better by so much", "too short"]
+    ("lengths", "share"), [((131, 127), 0.01), ((39,) * 7, 0.5)], ids=["no window is better by so much", "too short"]
 )
 def test_windows_that_no_record_needs_change_nothing_and_are_not_told(
     lengths: tuple[int, ...], share: float, monkeypatch: pytest.MonkeyPatch
